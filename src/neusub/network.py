@@ -1,0 +1,292 @@
+"""The network of Neural Subdivision (Liu et al. 2020, section 5), whole: three MLPs over half-flaps.
+
+    forward     I moves the input's vertices and gives each 29 features: level 0.  Then, per level, V moves the
+                old vertices, E adds the midpoints of the moved edges: levels 1 .. L.
+    a module    looks at a half-flap (figure in `topology.py`) in its own frame, gives a displacement in that frame
+                and features; a vertex (I, V) takes the mean over its outgoing half-flaps, an edge (E) over its two.
+    frame       x along v1 - v0, z the normalised sum of the two unit face normals, y = z cross x.
+
+Shapes: n half-flaps, m vertices or edges that pool them.  Vectors of half-flaps are stored (3, n), one row a
+coordinate: dot products then run over contiguous rows, several times faster than (n, 3).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor, nn
+from torch.nn.functional import embedding_bag, linear
+
+from neusub.topology import Topology
+
+__all__ = ["FlapGroups", "HalfFlapMLP", "LevelFlaps", "NeuralSubdivision", "differential_coordinates", "level_flaps"]
+
+CHUNK = 1 << 15  # half-flaps at a time without gradients: their activations stay in the cache
+
+
+# --- half-flaps on the device ------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class FlapGroups:
+    """Half-flaps sorted by the vertex or edge that pools them: group i owns rows offsets[i] .. offsets[i + 1]."""
+
+    corners: Int[Tensor, "n 4"]  # v0 v1 v2 v3; at a boundary the missing one repeats the other
+    missing: Bool[Tensor, "2 n"] | None  # whether v2, v3 is missing; None for a closed mesh
+    offsets: Int[Tensor, "m+1"]
+
+    @cached_property
+    def slots(self) -> Int[Tensor, "n 4"]:
+        """Row of (vertex, slot) in a table with four rows a vertex."""
+        return self.corners * 4 + torch.arange(4, device=self.corners.device)
+
+    def chunks(self) -> Iterator[FlapGroups]:
+        """The groups in runs of about CHUNK half-flaps."""
+        last = len(self.offsets) - 1
+        a = 0
+        while a < last:
+            start = int(self.offsets[a])
+            b = int(torch.searchsorted(self.offsets, start + CHUNK, right=True)) - 1
+            b = min(max(b, a + 1), last)
+            rows = slice(start, int(self.offsets[b]))
+            missing = None if self.missing is None else self.missing[:, rows]
+            yield FlapGroups(self.corners[rows], missing, self.offsets[a : b + 1] - start)
+            a = b
+
+    # Transposes, for gradients only: which rows read a given vertex, and which group reads a given row.
+
+    @cached_property
+    def readers(self) -> tuple[Tensor, Tensor]:
+        """Rows of `slots.reshape(-1)` in the order of the table's rows that they read, and where each begins."""
+        flat = self.slots.reshape(-1)
+        order = torch.argsort(flat)
+        bounds = torch.arange(4 * int(self.corners.max()) + 5, device=flat.device)
+        return order, torch.searchsorted(flat[order], bounds)
+
+    @cached_property
+    def owner(self) -> Int[Tensor, "n"]:
+        return torch.repeat_interleave(torch.arange(len(self.offsets) - 1, device=self.offsets.device),
+                                       self.offsets.diff())
+
+
+@dataclass(frozen=True, eq=False)
+class LevelFlaps:
+    """One level's half-flaps: as its vertices pool them (I, V) and as its edges do (E)."""
+
+    by_vertex: FlapGroups
+    by_edge: FlapGroups
+    edges: Int[Tensor, "nE 2"]
+
+
+def level_flaps(topology: Topology, device: torch.device | str = "cpu") -> LevelFlaps:
+    """Put a level's half-flaps on a device, in both orders."""
+    flaps = topology.flaps
+    absent = flaps[:, 2:] < 0
+    corners = np.where(flaps < 0, flaps[:, [0, 1, 3, 2]], flaps)
+    by_origin = np.argsort(flaps[:, 0], kind="stable")
+    starts = np.concatenate([[0], np.cumsum(topology.valence)])
+
+    def groups(rows, offsets) -> FlapGroups:
+        missing = torch.as_tensor(np.ascontiguousarray(absent[rows].T), device=device) if absent.any() else None
+        return FlapGroups(torch.as_tensor(corners[rows], device=device), missing,
+                          torch.as_tensor(offsets, device=device))
+
+    return LevelFlaps(groups(by_origin, starts), groups(slice(None), np.arange(0, len(flaps) + 1, 2)),
+                      torch.as_tensor(topology.edges, device=device))
+
+
+class _SumRows(torch.autograd.Function):
+    """out[i] = sum of values[index[j]] over bag i; the gradient is the same sum over the transposed bags."""
+
+    @staticmethod
+    def forward(ctx, values, index, offsets, back_index, back_offsets):
+        ctx.save_for_backward(back_index, back_offsets)
+        ctx.rows = len(values)
+        return embedding_bag(index, values, offsets, mode="sum", include_last_offset=True)
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[override]
+        index, offsets = ctx.saved_tensors
+        grad = embedding_bag(index, grad.contiguous(), offsets, mode="sum", include_last_offset=True)
+        if len(grad) < ctx.rows:  # vertices beyond the last one that any half-flap reads
+            grad = torch.cat([grad, grad.new_zeros(ctx.rows - len(grad), grad.shape[1])])
+        return grad, None, None, None, None
+
+
+def gather_corners(groups: FlapGroups, values: Float[Tensor, "nV 3"]) -> Float[Tensor, "4 3 n"]:
+    """values[corners], one contiguous row a corner and coordinate."""
+    flat = groups.corners.reshape(-1)
+    if values.requires_grad:
+        order, starts = groups.readers
+        each = torch.arange(len(flat) + 1, device=flat.device)
+        rows = _SumRows.apply(values, flat, each, order, starts[::4])
+    else:
+        rows = values.index_select(0, flat)
+    return rows.view(-1, 4, 3).permute(1, 2, 0).contiguous()
+
+
+def sum_slots(groups: FlapGroups, table: Float[Tensor, "4*nV c"]) -> Float[Tensor, "n c"]:
+    """Sum over a half-flap's corners k of row 4 * corner + k."""
+    if not table.requires_grad:
+        return embedding_bag(groups.slots, table, mode="sum")
+    order, starts = groups.readers
+    four = torch.arange(0, groups.slots.numel() + 1, 4, device=table.device)
+    return _SumRows.apply(table, groups.slots.reshape(-1), four, order // 4, starts)
+
+
+def pool(groups: FlapGroups, values: Float[Tensor, "n c"]) -> Float[Tensor, "m c"]:
+    """Sum over each group."""
+    each = torch.arange(len(values) + 1, device=values.device)
+    if not values.requires_grad:
+        return embedding_bag(each[:-1], values, groups.offsets, mode="sum", include_last_offset=True)
+    return _SumRows.apply(values, each[:-1], groups.offsets, groups.owner, each)
+
+
+# --- geometry of a half-flap -------------------------------------------------------------------------------------
+
+
+def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
+    """The vector's direction, and whether it has one: its length exceeds rounding errors of `size`, squared."""
+    squared = vector.square().sum(-2, keepdim=True)
+    limit = torch.finfo(vector.dtype)
+    defined = squared > (16 * limit.eps) ** 2 * size + limit.tiny
+    return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined
+
+
+def edge_vectors(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 3 n"]:
+    """v1 - v0, v2 - v0, v3 - v0.  A missing vertex is the other one's reflection through the edge's midpoint."""
+    corners = gather_corners(groups, positions)
+    edges = corners[1:] - corners[:1]
+    if groups.missing is None:
+        return edges
+    reflected = edges[:1] - edges[[2, 1]]
+    return torch.cat([edges[:1], torch.where(groups.missing[:, None], reflected, edges[1:])])
+
+
+def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"], Bool[Tensor, "n"]]:
+    """Axes x, y, z of each half-flap's frame, and whether it has one.
+
+    Where the two normals cancel, z is the left face's, and the right one's where the left face has none.
+    """
+    lengths = edges.detach().square().sum(1, keepdim=True)
+    x, has_edge = unit(edges[0], 0.0)
+    normals = torch.linalg.cross(torch.stack([edges[0], edges[2]]), torch.stack([edges[1], edges[0]]), dim=1)
+    normals, has_normal = unit(normals, lengths[:1] * lengths[1:])
+    z, has_both = unit(normals[0] + normals[1], 1.0)
+    if not has_both.all():
+        z = torch.where(has_both, z, torch.where(has_normal[0], normals[0], normals[1]))
+    return torch.stack([x, torch.linalg.cross(z, x, dim=0), z]), (has_edge & has_normal.any(0))[0]
+
+
+def in_frames(vectors: Float[Tensor, "k 3 n"], axes: Float[Tensor, "3 3 n"]) -> Float[Tensor, "3*k n"]:
+    """Coordinates of k vectors of each half-flap in its frame."""
+    return (vectors[:, None] * axes).sum(2).flatten(0, 1)
+
+
+def differential_coordinates(
+    groups: FlapGroups, positions: Float[Tensor, "nV 3"]
+) -> Float[Tensor, "nV 3"]:
+    """Each vertex minus the mean of its neighbours.
+
+    A boundary vertex counts the reflected vertices of `edge_vectors` among its neighbours: on a straight border of a
+    regular flat patch it then has none, like a vertex inside, and the border is not drawn inwards.
+    """
+    parts = []
+    for part in groups.chunks():
+        edges = edge_vectors(part, positions)
+        use = torch.ones_like(edges[:, :1])
+        if part.missing is not None:
+            use[1:] = part.missing[:, None]
+        else:
+            edges, use = edges[:1], use[:1]
+        total = pool(part, torch.cat([(edges * use).sum(0), use.sum(0)]).T.contiguous())
+        parts.append(-total[:, :3] / total[:, 3:].clamp(min=1))
+    return torch.cat(parts)
+
+
+# --- the network -------------------------------------------------------------------------------------------------
+
+
+class HalfFlapMLP(nn.Module):
+    """One module (I, V or E): an MLP with two hidden layers on half-flaps, and the mean over each group.
+
+    The first layer's columns go vertex by vertex: value(v0), e1, value(v1), e2, value(v2), e3, value(v3).
+    """
+
+    def __init__(self, channels: int, width: int, features: int, *, vectors: bool):
+        super().__init__()
+        self.channels, self.vectors = channels, vectors  # of each corner's value; whether it turns with the frame
+        self.first = nn.Linear(9 + 4 * channels, width)
+        self.hidden = nn.Linear(width, width)
+        self.last = nn.Linear(width, 3 + features)
+        for layer in (self.first, self.hidden, self.last):
+            nn.init.xavier_normal_(layer.weight)
+            nn.init.zeros_(layer.bias)
+
+    def forward(
+        self, groups: FlapGroups, positions: Float[Tensor, "nV 3"], values: Float[Tensor, "nV c"], features: bool = True
+    ) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m f"] | None]:
+        """Mean displacement, in the axes of `positions`, and mean features of each group."""
+        columns = self.first.weight.split([self.channels, 3] * 3 + [self.channels], dim=1)
+        edge_columns = torch.cat(columns[1::2], dim=1)
+        value_columns = columns[::2]
+        if not self.vectors:  # gather and sum products of vertices: a vertex has six half-flaps, each with four corners
+            bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
+            values = linear(values, torch.cat(value_columns), bias).view(-1, len(self.first.bias))
+        parts = list(groups.chunks()) if not torch.is_grad_enabled() else [groups]
+        results = [self._part(part, positions, values, edge_columns, value_columns, features) for part in parts]
+        moves, learned = zip(*results)
+        return torch.cat(moves), torch.cat(learned) if features else None
+
+    def _part(self, groups, positions, values, edge_columns, value_columns, features):
+        edges = edge_vectors(groups, positions)
+        axes, defined = local_frames(edges)
+        if self.vectors:
+            inputs = in_frames(torch.cat([edges, gather_corners(groups, values)]), axes)
+            hidden = linear(inputs.T, torch.cat([edge_columns, *value_columns], dim=1), self.first.bias)
+        else:
+            hidden = torch.addmm(sum_slots(groups, values), in_frames(edges, axes).T, edge_columns.T)
+        hidden = self.hidden(hidden.relu_()).relu_()
+        count = groups.offsets.diff().to(hidden.dtype)[:, None]
+        if not defined.all():  # half-flaps without a frame are left out of the mean
+            hidden = hidden * defined[:, None]
+            count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
+        local = linear(hidden, self.last.weight[:3], self.last.bias[:3]).T.contiguous()
+        move = torch.where(defined, (local[:, None] * axes).sum(0), 0)
+        # The last layer is linear: the mean of its features is its value at the mean.
+        learned = linear(pool(groups, hidden) / count, self.last.weight[3:], self.last.bias[3:]) if features else None
+        return pool(groups, move.T.contiguous()) / count, learned
+
+
+class NeuralSubdivision(nn.Module):
+    """The paper's network: modules I, V and E, shared over all half-flaps and levels."""
+
+    def __init__(self, width: int = 32, features: int = 29):
+        super().__init__()
+        self.initial = HalfFlapMLP(3, width, features, vectors=True)
+        self.vertex = HalfFlapMLP(features, width, features, vectors=False)
+        self.edge = HalfFlapMLP(features, width, features, vectors=False)
+
+    def forward(
+        self, positions: Float[Tensor, "nV 3"], levels: list[LevelFlaps]
+    ) -> list[Float[Tensor, "nV_l 3"]]:
+        """Vertex positions of levels 0 .. len(levels); at least one level."""
+        first = levels[0].by_vertex
+        move, values = self.initial(first, positions, differential_coordinates(first, positions))
+        positions = positions + move
+        outputs = [positions]
+        for k, level in enumerate(levels):
+            move, values = self.vertex(level.by_vertex, positions, values)
+            positions = positions + move
+            is_last = k + 1 == len(levels)
+            move, added = self.edge(level.by_edge, positions, values, features=not is_last)
+            midpoints = (positions[level.edges[:, 0]] + positions[level.edges[:, 1]]) / 2
+            positions = torch.cat([positions, midpoints + move])
+            outputs.append(positions)
+            values = values if added is None else torch.cat([values, added])
+        return outputs

@@ -1,0 +1,145 @@
+"""Edges, half-edges, half-flaps and the one midpoint refinement, as array code in O(n log n).
+
+Conventions, used by every module:
+
+                v2            Faces are counter-clockwise seen from outside.
+               /  \\           Half-flap of the directed edge v0 -> v1: v2 is opposite in the face on its
+             v0 -> v1         left, v3 opposite in the face on its right; -1 where there is no face.
+               \\  /           Edges are the lexicographically sorted unique (min, max) vertex pairs; edge k
+                v3            has the half-flaps 2k (min -> max) and 2k + 1 (max -> min).
+
+Half-edge h = 3 f + i runs from corner i of face f to the corner after it.
+
+                 c            Refinement keeps the old vertices and their indices; the midpoint of edge k is
+                / \\           vertex n_vertices + k.  A face (a, b, c) gives four, which stand in four blocks,
+              ca - bc         each in the order of the old faces:
+              / \\ / \\           [a, ab, ca]  [b, bc, ab]  [c, ca, bc]  [bc, ca, ab]
+             a - ab - b
+
+Every function here trusts its input to be an oriented 2-manifold, with or without boundary (`mesh.Mesh` checks).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+from jaxtyping import Bool, Int64
+from numpy import ndarray
+
+__all__ = ["Topology", "build_topology", "connected_components", "refine_corners", "refine_faces", "topology_levels"]
+
+
+@dataclass(frozen=True, eq=False)
+class Topology:
+    """Connectivity of an oriented manifold triangle mesh; make it with `build_topology`."""
+
+    n_vertices: int
+    faces: Int64[ndarray, "nF 3"]
+    edges: Int64[ndarray, "nE 2"]  # (min, max), sorted
+    face_edges: Int64[ndarray, "nF 3"]  # edges of the half-edges of each face: ab, bc, ca
+    edge_halfedges: Int64[ndarray, "nE 2"]  # the half-edges min -> max and max -> min; -1 beyond a boundary
+
+    @cached_property
+    def edge_opposite(self) -> Int64[ndarray, "nE 2"]:
+        """Vertex opposite to each edge, in the face left of min -> max and left of max -> min; -1 where none."""
+        corner_before = self.faces[:, [2, 0, 1]].reshape(-1)
+        return np.where(self.edge_halfedges >= 0, corner_before[self.edge_halfedges], -1)
+
+    @cached_property
+    def twins(self) -> Int64[ndarray, "nH"]:
+        """The half-edge that runs the other way along the same edge; -1 on the boundary."""
+        twins = np.full(self.faces.size, -1, dtype=np.int64)
+        there, back = self.edge_halfedges.T
+        twins[there[there >= 0]] = back[there >= 0]
+        twins[back[back >= 0]] = there[back >= 0]
+        return twins
+
+    @cached_property
+    def flaps(self) -> Int64[ndarray, "nFlaps 4"]:
+        """Half-flaps (v0, v1, v2, v3); rows 2k and 2k + 1 are the two directions of edge k; -1 where missing."""
+        flaps = np.empty((len(self.edges), 2, 4), dtype=np.int64)
+        flaps[:, 0, :2] = self.edges
+        flaps[:, 1, :2] = self.edges[:, ::-1]
+        flaps[:, 0, 2:] = self.edge_opposite
+        flaps[:, 1, 2:] = self.edge_opposite[:, ::-1]
+        return flaps.reshape(-1, 4)
+
+    @cached_property
+    def is_boundary_edge(self) -> Bool[ndarray, "nE"]:
+        return (self.edge_halfedges < 0).any(axis=1)
+
+    @cached_property
+    def is_boundary_vertex(self) -> Bool[ndarray, "nV"]:
+        mask = np.zeros(self.n_vertices, dtype=bool)
+        mask[self.edges[self.is_boundary_edge]] = True
+        return mask
+
+    @cached_property
+    def valence(self) -> Int64[ndarray, "nV"]:
+        """Number of edges at each vertex."""
+        return np.bincount(self.edges.reshape(-1), minlength=self.n_vertices)
+
+
+def build_topology(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Topology:
+    """Edges and their half-edges, by one sort of the half-edges' keys."""
+    faces = np.ascontiguousarray(faces, dtype=np.int64)
+    tail = faces.reshape(-1)
+    head = faces[:, [1, 2, 0]].reshape(-1)
+    key = np.minimum(tail, head) * n_vertices + np.maximum(tail, head)
+    order = np.argsort(key)
+    key = key[order]
+    is_first = np.empty(len(key), dtype=bool)
+    is_first[:1] = True
+    np.not_equal(key[1:], key[:-1], out=is_first[1:])
+    edge_key = key[is_first]
+    face_edges = np.empty(len(key), dtype=np.int64)
+    face_edges[order] = np.cumsum(is_first) - 1
+    edge_halfedges = np.full((len(edge_key), 2), -1, dtype=np.int64)
+    edge_halfedges[face_edges, (tail > head).astype(np.int64)] = np.arange(len(key))
+    edges = np.stack([edge_key // n_vertices, edge_key % n_vertices], axis=1)
+    return Topology(n_vertices, faces, edges, face_edges.reshape(-1, 3), edge_halfedges)
+
+
+def refine_corners(
+    corners: Int64[ndarray, "nF 3"], midpoints: Int64[ndarray, "nF 3"]
+) -> Int64[ndarray, "4*nF 3"]:
+    """The four blocks of faces, from each face's corners (a, b, c) and its midpoints (ab, bc, ca)."""
+    (a, b, c), (ab, bc, ca) = corners.T, midpoints.T
+    blocks = [(a, ab, ca), (b, bc, ab), (c, ca, bc), (bc, ca, ab)]
+    refined = np.empty((4, len(corners), 3), dtype=np.int64)
+    for block, columns in zip(refined, blocks):
+        for k, column in enumerate(columns):
+            block[:, k] = column
+    return refined.reshape(-1, 3)
+
+
+def refine_faces(topology: Topology) -> Int64[ndarray, "4*nF 3"]:
+    """Faces of the midpoint refinement; the midpoint of edge k is vertex n_vertices + k."""
+    return refine_corners(topology.faces, topology.face_edges + topology.n_vertices)
+
+
+def topology_levels(
+    faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int
+) -> tuple[list[Topology], Int64[ndarray, "nF_fine 3"]]:
+    """Topologies of levels 0 .. levels - 1, and the faces of the last level, whose edges nobody needs yet."""
+    topologies = []
+    for _ in range(levels):
+        topologies.append(build_topology(faces, n_vertices))
+        faces = refine_faces(topologies[-1])
+        n_vertices += len(topologies[-1].edges)
+    return topologies, faces
+
+
+def connected_components(
+    faces: Int64[ndarray, "nF 3"], n_vertices: int
+) -> tuple[int, Int64[ndarray, "nV"]]:
+    """Number of components, and the component of each vertex (numbered by their first vertex)."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components as components
+
+    tail, head = faces[:, [0, 1]].reshape(-1), faces[:, [1, 2]].reshape(-1)
+    graph = coo_array((np.ones(len(tail), dtype=bool), (tail, head)), shape=(n_vertices, n_vertices))
+    count, labels = components(graph.tocsr(), directed=False)
+    return int(count), labels.astype(np.int64)
