@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-__all__ = ["MeshError", "NeusubError"]
+__all__ = ["MeshError", "ModelError", "NeusubError", "PairFileError", "TrainingError"]
 
 
 class NeusubError(Exception):
@@ -11,3 +11,15 @@ class NeusubError(Exception):
 
 class MeshError(NeusubError, ValueError):
     """A mesh that cannot be used as it is."""
+
+
+class PairFileError(NeusubError, ValueError):
+    """A file of training pairs that is missing, broken or does not hold what was asked for."""
+
+
+class TrainingError(NeusubError, ValueError):
+    """A training run that cannot be begun, resumed or continued."""
+
+
+class ModelError(NeusubError, ValueError):
+    """A file of weights that is missing, broken or of another kind."""

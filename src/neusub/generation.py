@@ -1,0 +1,271 @@
+"""Training pairs: a coarse mesh, and for each vertex of its refinements the point on the fine surface it should reach.
+
+A pair file is one safetensors file with the pairs of one source, one after the other, and a JSON header:
+
+    faces          (sum nF, 3) uint16/32   coarse faces of each pair          face_offsets    (n + 1,) int64
+    targets        (sum nV_L, 3) float32   points of the last level           target_offsets  (n + 1,) int64
+    level_sizes    (n, L + 1) int32        vertices of levels 0 .. L; a level's targets are a prefix of the last's
+    decimated      (sum nV_0, 3) float32   optional: the decimator's own positions of the coarse vertices
+
+The numbering is that of `topology.py`; the authors' public pairs have the same.  Targets lie on the surface at every
+level, 0 too: `input="on_surface"` starts from level 0's targets, `input="decimated"` from the decimator's positions.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass, replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64
+from numpy import ndarray
+from safetensors import SafetensorError, safe_open
+from safetensors.numpy import save_file
+
+from neusub import __version__
+from neusub.errors import PairFileError
+from neusub.network import LevelFlaps, level_flaps
+from neusub.topology import Topology, topology_levels
+
+__all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "save_pairs"]
+
+FORMAT = "neusub-pairs-1"
+INPUTS = ("on_surface", "decimated")
+
+
+@dataclass(frozen=True, eq=False)
+class Pair:
+    """One coarse mesh and its targets."""
+
+    faces: Int64[ndarray, "nF 3"]
+    targets: Float[ndarray, "nV_L 3"]
+    level_sizes: tuple[int, ...]
+    decimated: Float[ndarray, "nV_0 3"] | None = None
+    name: str = ""
+
+    @property
+    def levels(self) -> int:
+        return len(self.level_sizes) - 1
+
+    @cached_property
+    def topologies(self) -> list[Topology]:
+        return topology_levels(self.faces, self.level_sizes[0], self.levels)[0]
+
+    def positions(self, input: str) -> Float[ndarray, "nV_0 3"]:
+        """The coarse vertices of one kind of input.  Raises PairFileError where the file has no such positions."""
+        if input == "on_surface":
+            return self.targets[: self.level_sizes[0]]
+        if input != "decimated":
+            raise PairFileError(f"input {input!r} is not a kind of input. Use one of {', '.join(INPUTS)}.")
+        if self.decimated is None:
+            raise PairFileError(f"pair {self.name!r} has no decimated positions. Train with input='on_surface', "
+                                "or make the pairs again with 'neusub pairs'.")
+        return self.decimated
+
+
+# --- files -------------------------------------------------------------------------------------------------------
+
+
+def save_pairs(pairs: list[Pair], path: str | Path, header: dict) -> None:
+    """Write pairs of equal depth as one file, whole or not at all; `header` is any JSON: source, licence, options."""
+    if not pairs:
+        raise PairFileError(f"there are no pairs to write to {path}.")
+    small = max(pair.level_sizes[0] for pair in pairs) <= np.iinfo(np.uint16).max
+    arrays = {
+        "faces": np.concatenate([p.faces for p in pairs]).astype(np.uint16 if small else np.uint32),
+        "face_offsets": np.cumsum([0] + [len(p.faces) for p in pairs], dtype=np.int64),
+        "targets": np.concatenate([p.targets for p in pairs]).astype(np.float32),
+        "target_offsets": np.cumsum([0] + [len(p.targets) for p in pairs], dtype=np.int64),
+        "level_sizes": np.array([p.level_sizes for p in pairs], dtype=np.int32),
+    }
+    if all(pair.decimated is not None for pair in pairs):
+        arrays["decimated"] = np.concatenate([p.decimated for p in pairs]).astype(np.float32)
+    header = {"format": FORMAT, "version": __version__, "count": len(pairs), "levels": pairs[0].levels, **header}
+    temporary = Path(f"{path}.part{os.getpid()}")
+    save_file(arrays, temporary, metadata={"neusub": json.dumps(header, sort_keys=True)})
+    temporary.replace(path)
+
+
+def read_header(path: str | Path) -> dict:
+    """The JSON header of a pair file.  Raises PairFileError."""
+    try:
+        with safe_open(path, framework="numpy") as file:
+            header = json.loads((file.metadata() or {}).get("neusub", "{}"))
+    except FileNotFoundError:
+        raise PairFileError(f"{path}: no such file. Make pair files with 'neusub import-pairs'.") from None
+    except (SafetensorError, OSError, ValueError) as error:
+        raise PairFileError(f"{path}: not a readable safetensors file ({error}). Make the pairs again.") from None
+    if header.get("format") != FORMAT:
+        raise PairFileError(f"{path}: the header's format is {header.get('format')!r}, not {FORMAT!r}.")
+    return header
+
+
+def load_pairs(path: str | Path) -> list[Pair]:
+    """All pairs of a file.  Raises PairFileError where the file is missing, broken or contradicts itself."""
+    read_header(path)
+    with safe_open(path, framework="numpy") as file:
+        arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    sizes = arrays["level_sizes"].astype(np.int64)
+    face_at, target_at = arrays["face_offsets"], arrays["target_offsets"]
+    coarse_at = np.concatenate([[0], np.cumsum(sizes[:, 0])])
+    faces = arrays["faces"].astype(np.int64)
+    decimated = arrays.get("decimated")
+    pairs = [
+        Pair(
+            faces[face_at[k] : face_at[k + 1]],
+            arrays["targets"][target_at[k] : target_at[k + 1]],
+            tuple(int(n) for n in sizes[k]),
+            None if decimated is None else decimated[coarse_at[k] : coarse_at[k + 1]],
+            f"{Path(path).stem}[{k}]",
+        )
+        for k in range(len(sizes))
+    ]
+    for pair in pairs:
+        check_pair(pair)
+    return pairs
+
+
+def check_pair(pair: Pair) -> None:
+    """Raises PairFileError unless the pair's sizes, indices and positions agree with each other."""
+    if pair.faces.size == 0 or pair.faces.max() >= pair.level_sizes[0]:
+        raise PairFileError(f"pair {pair.name!r}: a face's index is not below its {pair.level_sizes[0]} vertices.")
+    if not np.isfinite(pair.targets).all():
+        raise PairFileError(f"pair {pair.name!r}: target {int(np.argwhere(~np.isfinite(pair.targets))[0, 0])} is "
+                            "not finite.")
+    sizes = [pair.level_sizes[0]]
+    for topology in pair.topologies:
+        sizes.append(sizes[-1] + len(topology.edges))
+    if tuple(sizes) != pair.level_sizes or len(pair.targets) != sizes[-1]:
+        raise PairFileError(f"pair {pair.name!r}: its faces refine to {sizes} vertices, its targets have "
+                            f"{list(pair.level_sizes)} ({len(pair.targets)} rows).")
+
+
+def file_hash(path: str | Path) -> str:
+    """SHA-256 of a file, its first 16 digits."""
+    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16]
+
+
+# --- the authors' layouts ----------------------------------------------------------------------------------------
+
+
+def import_pairs(source: str | Path, folder: str | Path, *, licence: str = "not stated") -> list[Path]:
+    """Read the authors' pairs into pair files: `train.safetensors`, and `validation.safetensors` where there are any.
+
+    source: an npz with {train,valid}_V2, _nV, _F0, _nF0; or a folder with subd0/, subd1/, ... of OBJ files of equal
+    names (or with train/ and valid/ folders of that kind).  Returns the paths written.  Raises PairFileError.
+    """
+    source, folder = Path(source), Path(folder)
+    if source.is_file() and source.suffix == ".npz":
+        splits = _read_npz(source)
+        origin = {"source": source.name, "source_hash": file_hash(source), "licence": licence}
+    elif source.is_dir():
+        roots = {"train": source} if (source / "subd0").is_dir() else {"train": source / "train",
+                                                                      "validation": source / "valid"}
+        splits = {split: _read_obj_levels(root) for split, root in roots.items() if (root / "subd0").is_dir()}
+        origin = {"source": source.name, "licence": licence}
+    else:
+        splits, origin = {}, {}
+    if not splits:
+        raise PairFileError(f"{source}: neither an npz with train_V2 nor a folder with subd0, subd1, ...")
+    folder.mkdir(parents=True, exist_ok=True)
+    paths = []
+    for split, pairs in splits.items():
+        for pair in pairs:
+            check_pair(pair)
+        paths.append(folder / f"{split}.safetensors")
+        save_pairs(pairs, paths[-1], {"split": split, **origin})
+    return paths
+
+
+def _read_npz(source: Path) -> dict[str, list[Pair]]:
+    splits = {}
+    with np.load(source, allow_pickle=False) as data:
+        for key, split in (("train", "train"), ("valid", "validation")):
+            if f"{key}_V2" not in data:
+                continue
+            sizes, faces = data[f"{key}_nV"], data[f"{key}_F0"].astype(np.int64)
+            targets = np.split(data[f"{key}_V2"], np.cumsum(sizes[:, -1])[:-1])
+            faces = np.split(faces, np.cumsum(data[f"{key}_nF0"])[:-1])
+            splits[split] = [Pair(f, t, tuple(int(n) for n in s), name=f"{split}[{k}]")
+                             for k, (f, t, s) in enumerate(zip(faces, targets, sizes))]
+    return splits
+
+
+def _read_obj_levels(root: Path) -> list[Pair]:
+    from neusub.io import read
+
+    folders = sorted(root.glob("subd*"), key=lambda path: int(path.name[4:]))
+    pairs = []
+    for coarse in sorted((root / "subd0").glob("*.obj")):
+        meshes = [read(folder / coarse.name) for folder in folders]
+        sizes = tuple(len(mesh.vertices) for mesh in meshes)
+        for mesh, size in zip(meshes, sizes):
+            if not np.allclose(meshes[-1].vertices[:size], mesh.vertices, atol=1e-4 * np.ptp(mesh.vertices)):
+                raise PairFileError(f"{coarse.name}: level 0's vertices are not the first ones of the last level's.")
+        pair = Pair(meshes[0].faces, meshes[-1].vertices.astype(np.float32), sizes, name=coarse.stem)
+        pairs.append(pair)
+    return pairs
+
+
+# --- batches -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True, eq=False)
+class Batch:
+    """A disjoint union of pairs, as the network takes it."""
+
+    positions: Float[torch.Tensor, "nV_0 3"]
+    levels: list[LevelFlaps]
+    targets: Float[torch.Tensor, "nV_L 3"]
+    weights: list[Float[torch.Tensor, "nV_l 1"]]  # of each vertex's squared error: 1 / (coordinates of its mesh)
+
+    def loss(self, outputs: list[torch.Tensor]) -> torch.Tensor:
+        """Sum over levels of the mean squared coordinate error, summed over the meshes (paper, section 4)."""
+        terms = [((out - self.targets[: len(out)]).square() * w).sum() for out, w in zip(outputs, self.weights)]
+        return torch.stack(terms).sum()
+
+
+def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.device | str = "cpu",
+                dtype: torch.dtype = torch.float32) -> Batch:
+    """The disjoint union of pairs of equal depth.
+
+    The union is refined as one mesh, so its vertices are renumbered at every level; within a mesh their order stays,
+    so the targets find their places by a stable sort of the mesh that each vertex belongs to.
+    """
+    depth = pairs[0].levels
+    starts = np.cumsum([0] + [pair.level_sizes[0] for pair in pairs])
+    if len(pairs) == 1:
+        topologies = pairs[0].topologies
+    else:
+        topologies, _ = topology_levels(np.concatenate([p.faces + s for p, s in zip(pairs, starts)]),
+                                        int(starts[-1]), depth)
+    owner = np.repeat(np.arange(len(pairs)), np.diff(starts))
+    owners = [owner]
+    for topology in topologies:
+        owners.append(np.concatenate([owners[-1], owners[-1][topology.edges[:, 0]]]))
+    targets = np.empty((len(owners[-1]), 3), dtype=np.float32)
+    targets[np.argsort(owners[-1], kind="stable")] = np.concatenate([pair.targets for pair in pairs])
+    weights = []
+    for level, owner in enumerate(owners):
+        coordinates = 3.0 * np.array([pair.level_sizes[level] for pair in pairs])
+        weights.append(torch.as_tensor(1 / coordinates[owner][:, None], dtype=dtype, device=device))
+    start = np.concatenate([pair.positions(input) for pair in pairs])
+    return Batch(
+        torch.as_tensor(start, dtype=dtype, device=device),
+        [level_flaps(topology, device) for topology in topologies],
+        torch.as_tensor(targets, dtype=dtype, device=device),
+        weights,
+    )
+
+
+def shortened(pair: Pair, levels: int) -> Pair:
+    """The pair with its first `levels` levels only.  Raises PairFileError where it has fewer."""
+    if levels > pair.levels:
+        raise PairFileError(f"pair {pair.name!r} has {pair.levels} levels, {levels} were asked for.")
+    sizes = pair.level_sizes[: levels + 1]
+    return replace(pair, targets=pair.targets[: sizes[-1]], level_sizes=sizes)

@@ -1,0 +1,283 @@
+"""Training, in one readable loop: pairs in, one safetensors file of weights out.
+
+The paper's protocol (`preset="paper"`): one mesh a step, Adam at 2e-3, 700 epochs, the weights of the epoch with the
+best validation loss kept.  The order of an epoch depends on the seed and the epoch alone and a checkpoint holds the
+optimizer's state, so a run that was interrupted and resumed equals one that was not, bit for bit on a CPU.
+"""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import time
+from collections.abc import Callable, Iterator
+from dataclasses import asdict, dataclass, fields
+from pathlib import Path
+
+import numpy as np
+import torch
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+from torch import Tensor
+
+from neusub import __version__
+from neusub.errors import TrainingError
+from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, shortened
+from neusub.network import NeuralSubdivision
+
+__all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
+
+
+@dataclass(frozen=True)
+class TrainingConfig:
+    """What a run does; saved with every checkpoint."""
+
+    epochs: int = 700
+    batch: int = 1  # meshes a step
+    learning_rate: float = 2e-3
+    schedule: str = "constant"  # or "cosine", down to zero at the last epoch
+    levels: int = 2
+    input: str = "on_surface"  # or "decimated"
+    width: int = 32
+    features: int = 29
+    seed: int = 0
+    device: str = "auto"
+    precision: str = "32-true"  # as Lightning Fabric names it
+    threads: int = 0  # of the CPU; 0 leaves them as they are
+    checkpoint_every: int = 5  # epochs
+
+
+PRESETS = {
+    "paper": TrainingConfig(),
+    "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
+}
+
+
+@dataclass(frozen=True)
+class TrainingResult:
+    """The best weights of a run and how it went."""
+
+    model: NeuralSubdivision
+    best_loss: float
+    best_epoch: int
+    epochs: int
+    seconds: float
+    folder: Path
+    data: list[dict]  # headers of the pair files
+
+
+@dataclass
+class _State:
+    """What a checkpoint holds beside weights and optimizer."""
+
+    epoch: int = 0  # epochs that are done
+    best_loss: float = float("inf")
+    best_epoch: int = 0
+    seconds: float = 0.0
+
+
+def epoch_order(count: int, seed: int, epoch: int) -> np.ndarray:
+    """The order of the meshes in an epoch."""
+    return np.random.default_rng([seed, epoch]).permutation(count)
+
+
+def train(
+    train_files: list[str | Path],
+    validation_files: list[str | Path],
+    out: str | Path,
+    config: TrainingConfig | None = None,
+    *,
+    resume: bool = False,
+    on_epoch: Callable[[dict], None] | None = None,
+) -> TrainingResult:
+    """Train a network from pair files; writes log.csv, TensorBoard events and checkpoint.safetensors into `out`.
+
+    on_epoch is called with each row of the log.  Raises TrainingError for a folder that already holds a run (unless
+    resume), a checkpoint of another configuration or other data, or a loss that is not finite; PairFileError.
+    """
+    from lightning_fabric import Fabric
+
+    config = config or PRESETS["paper"]
+    out = Path(out)
+    checkpoint = out / "checkpoint.safetensors"
+    if checkpoint.exists() and not resume:
+        raise TrainingError(f"{out} holds a run already. Pass resume (--resume) to go on with it, or another folder.")
+    if config.threads:
+        torch.set_num_threads(config.threads)
+    fabric = Fabric(accelerator=config.device, devices=1, precision=config.precision)  # type: ignore[arg-type]
+    data = [{"file": Path(f).name, "hash": file_hash(f), **read_header(f)} for f in [*train_files, *validation_files]]
+    pairs = [shortened(pair, config.levels) for f in train_files for pair in load_pairs(f)]
+    held_out = [shortened(pair, config.levels) for f in validation_files for pair in load_pairs(f)]
+
+    torch.manual_seed(config.seed)
+    model = NeuralSubdivision(config.width, config.features)
+    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
+    model, optimizer = fabric.setup(model, optimizer)
+    best = {key: value.clone() for key, value in model.state_dict().items()}
+    state = _State()
+    out.mkdir(parents=True, exist_ok=True)
+    if resume and checkpoint.exists():
+        state = load_checkpoint(checkpoint, model, optimizer, best, config, data)
+    batches = _Batches(pairs, config, fabric.device)
+    validation = [batch_pairs([pair], config.input, fabric.device) for pair in held_out]
+
+    with _Log(out, state.epoch) as log:
+        while state.epoch < config.epochs:
+            began = time.perf_counter()
+            set_rate(optimizer, config, state.epoch)
+            training_loss = run_epoch(fabric, model, optimizer, batches, state.epoch)
+            loss = validate(model, validation) if validation else training_loss
+            if not np.isfinite(training_loss + loss):
+                raise TrainingError(f"the loss of epoch {state.epoch + 1} is not finite. Lower the learning rate "
+                                    f"({config.learning_rate}) and resume, or look for broken pairs.")
+            state.epoch += 1
+            state.seconds += time.perf_counter() - began
+            if loss < state.best_loss:
+                state.best_loss, state.best_epoch = loss, state.epoch
+                best = {key: value.clone() for key, value in model.state_dict().items()}
+            row = log.write(state, training_loss, loss, config.epochs)
+            if state.epoch % config.checkpoint_every == 0 or state.epoch == config.epochs:
+                save_checkpoint(checkpoint, model, optimizer, best, config, data, state)
+            if on_epoch:
+                on_epoch(row)
+    final = NeuralSubdivision(config.width, config.features)
+    final.load_state_dict({key: value.cpu() for key, value in best.items()})
+    return TrainingResult(final, state.best_loss, state.best_epoch, state.epoch, state.seconds, out, data)
+
+
+def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
+    """One pass over the training pairs; the mean loss of a mesh."""
+    total, count = torch.zeros((), device=fabric.device, dtype=torch.float64), 0
+    for batch, meshes in batches.epoch(epoch):
+        optimizer.zero_grad(set_to_none=True)
+        loss = batch.loss(model(batch.positions, batch.levels)) / meshes
+        fabric.backward(loss)
+        optimizer.step()
+        total += loss.detach() * meshes
+        count += meshes
+    return float(total) / count
+
+
+def validate(model, batches: list[Batch]) -> float:
+    """Mean over the meshes of the loss of one."""
+    with torch.no_grad():
+        return float(np.mean([float(batch.loss(model(batch.positions, batch.levels))) for batch in batches]))
+
+
+def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
+    """The learning rate of an epoch."""
+    factors = {"constant": 1.0, "cosine": 0.5 * (1 + np.cos(np.pi * epoch / config.epochs))}
+    if config.schedule not in factors:
+        raise TrainingError(f"schedule {config.schedule!r} is not one of {', '.join(factors)}.")
+    for group in optimizer.param_groups:
+        group["lr"] = config.learning_rate * factors[config.schedule]
+
+
+class _Batches:
+    """The batches of each epoch.  Single meshes are prepared once and kept; unions are made anew, one ahead."""
+
+    def __init__(self, pairs: list[Pair], config: TrainingConfig, device: torch.device):
+        self.pairs, self.config, self.device = pairs, config, device
+        self.single = [batch_pairs([p], config.input, device) for p in pairs] if config.batch == 1 else []
+
+    def epoch(self, epoch: int) -> Iterator[tuple[Batch, int]]:
+        order = epoch_order(len(self.pairs), self.config.seed, epoch)
+        if self.single:
+            for k in order:
+                yield self.single[k], 1
+            return
+        from concurrent.futures import ThreadPoolExecutor
+
+        chosen = [order[i : i + self.config.batch] for i in range(0, len(order), self.config.batch)]
+        with ThreadPoolExecutor(1) as pool:
+            futures = [pool.submit(self._union, chosen[0])]
+            for k, meshes in enumerate(chosen):
+                if k + 1 < len(chosen):
+                    futures.append(pool.submit(self._union, chosen[k + 1]))
+                yield futures.pop(0).result(), len(meshes)
+
+    def _union(self, meshes: np.ndarray) -> Batch:
+        return batch_pairs([self.pairs[k] for k in meshes], self.config.input, self.device)
+
+
+# --- checkpoints and logs ----------------------------------------------------------------------------------------
+
+
+def save_checkpoint(path: Path, model, optimizer, best: dict[str, Tensor], config: TrainingConfig, data: list[dict],
+                    state: _State) -> None:
+    """Weights, best weights and Adam's moments in one safetensors file, whole or not at all."""
+    tensors = {f"model.{key}": value for key, value in model.state_dict().items()}
+    tensors |= {f"best.{key}": value for key, value in best.items()}
+    for index, moments in optimizer.state_dict()["state"].items():
+        tensors |= {f"adam.{index}.{key}": value for key, value in moments.items()}
+    header = {"config": asdict(config), "data": data, "state": asdict(state), "version": __version__}
+    temporary = path.with_name(f"{path.name}.part{os.getpid()}")
+    save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, temporary,
+              metadata={"neusub": json.dumps(header)})
+    temporary.replace(path)
+
+
+def load_checkpoint(path: Path, model, optimizer, best: dict[str, Tensor], config: TrainingConfig,
+                    data: list[dict]) -> _State:
+    """Put a checkpoint into model, optimizer and best.  Raises TrainingError where it is of another run."""
+    try:
+        with safe_open(path, framework="pt") as file:
+            header = json.loads(file.metadata()["neusub"])
+            tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    except (SafetensorError, OSError, KeyError, ValueError) as error:
+        raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
+    free = {"device", "threads", "checkpoint_every"}  # do not change what is learned
+    for field in fields(TrainingConfig):
+        was, now = header["config"].get(field.name), getattr(config, field.name)
+        if was != now and field.name not in free:
+            raise TrainingError(f"{path}: the run has {field.name} = {was!r}, not {now!r}. Resume it with its own "
+                                "options, or choose another folder.")
+    if [entry["hash"] for entry in header["data"]] != [entry["hash"] for entry in data]:
+        raise TrainingError(f"{path}: the run was begun on other pair files. Resume it with those.")
+    model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
+    best.update({k[5:]: v for k, v in tensors.items() if k.startswith("best.")})
+    moments: dict[int, dict[str, Tensor]] = {}
+    for key, value in tensors.items():
+        if key.startswith("adam."):
+            _, index, name = key.split(".")
+            moments.setdefault(int(index), {})[name] = value
+    optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})
+    return _State(**header["state"])
+
+
+class _Log:
+    """log.csv and TensorBoard events, one row an epoch; rows after the checkpoint that a run resumes from go."""
+
+    columns = ("epoch", "training_loss", "validation_loss", "best_loss", "best_epoch", "seconds", "seconds_left")
+
+    def __init__(self, folder: Path, epoch: int):
+        self.path, self.folder, self.epoch = folder / "log.csv", folder, epoch
+
+    def __enter__(self) -> _Log:
+        from torch.utils.tensorboard import SummaryWriter
+
+        rows = []
+        if self.path.exists() and self.epoch:
+            with self.path.open(newline="") as file:
+                rows = [row for row in csv.DictReader(file) if int(row["epoch"]) <= self.epoch]
+        self.file = self.path.open("w", newline="")
+        self.writer = csv.DictWriter(self.file, self.columns)
+        self.writer.writeheader()
+        self.writer.writerows(rows)
+        self.board = SummaryWriter(str(self.folder), purge_step=self.epoch + 1)
+        return self
+
+    def write(self, state: _State, training_loss: float, loss: float, epochs: int) -> dict:
+        left = state.seconds / state.epoch * (epochs - state.epoch)
+        row = dict(zip(self.columns, (state.epoch, training_loss, loss, state.best_loss, state.best_epoch,
+                                      round(state.seconds, 3), round(left, 1))))
+        self.writer.writerow(row)
+        self.file.flush()
+        for name in ("training_loss", "validation_loss"):
+            self.board.add_scalar(name, row[name], state.epoch)
+        return row
+
+    def __exit__(self, *_) -> None:
+        self.file.close()
+        self.board.close()
