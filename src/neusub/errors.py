@@ -2,7 +2,24 @@
 
 from __future__ import annotations
 
-__all__ = ["MeshError", "ModelError", "NeusubError", "PairFileError", "TrainingError"]
+__all__ = [
+    "DuplicateFaceError",
+    "EmptyMeshError",
+    "IndexRangeError",
+    "MeshError",
+    "MeshFileError",
+    "ModelError",
+    "NeusubError",
+    "NonFiniteError",
+    "NonManifoldEdgeError",
+    "NonManifoldVertexError",
+    "OrientationError",
+    "PairFileError",
+    "RepeatedVertexError",
+    "ShapeError",
+    "TrainingError",
+    "UnreferencedVertexError",
+]
 
 
 class NeusubError(Exception):
@@ -11,6 +28,50 @@ class NeusubError(Exception):
 
 class MeshError(NeusubError, ValueError):
     """A mesh that cannot be used as it is."""
+
+
+class ShapeError(MeshError):
+    """An array of the wrong shape or type."""
+
+
+class EmptyMeshError(MeshError):
+    """A mesh without faces."""
+
+
+class NonFiniteError(MeshError):
+    """A coordinate that is NaN or infinite."""
+
+
+class IndexRangeError(MeshError):
+    """A face that points at a vertex, or a texture vertex, that does not exist."""
+
+
+class RepeatedVertexError(MeshError):
+    """A face that has the same vertex at two corners."""
+
+
+class DuplicateFaceError(MeshError):
+    """Two faces over the same three vertices, in whatever order."""
+
+
+class NonManifoldEdgeError(MeshError):
+    """An edge with three or more faces."""
+
+
+class OrientationError(MeshError):
+    """Two neighbouring faces that run the same way along their common edge."""
+
+
+class NonManifoldVertexError(MeshError):
+    """A vertex whose faces form more than one fan."""
+
+
+class UnreferencedVertexError(MeshError):
+    """A vertex that no face uses."""
+
+
+class MeshFileError(NeusubError, OSError):
+    """A file that cannot be read or written: missing, a folder, of unknown kind, truncated, without permission."""
 
 
 class PairFileError(NeusubError, ValueError):

@@ -22,36 +22,12 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from neusub import __version__
+from neusub.configuration import PRESETS, TrainingConfig
 from neusub.errors import TrainingError
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, shortened
 from neusub.network import NeuralSubdivision
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
-
-
-@dataclass(frozen=True)
-class TrainingConfig:
-    """What a run does; saved with every checkpoint."""
-
-    epochs: int = 700
-    batch: int = 1  # meshes a step
-    learning_rate: float = 2e-3
-    schedule: str = "constant"  # or "cosine", down to zero at the last epoch
-    levels: int = 2
-    input: str = "on_surface"  # or "decimated"
-    width: int = 32
-    features: int = 29
-    seed: int = 0
-    device: str = "auto"
-    precision: str = "32-true"  # as Lightning Fabric names it
-    threads: int = 0  # of the CPU; 0 leaves them as they are
-    checkpoint_every: int = 5  # epochs
-
-
-PRESETS = {
-    "paper": TrainingConfig(),
-    "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
-}
 
 
 @dataclass(frozen=True)

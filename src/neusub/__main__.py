@@ -1,0 +1,5 @@
+"""python -m neusub"""
+
+from neusub.cli import main
+
+main()

@@ -1,0 +1,183 @@
+"""A trained network with what it needs to know: load, save, subdivide.
+
+A model is one safetensors file: the weights, and a JSON card in its header that says what it is, what it was trained
+on, under which licence, for which kind of input and at which scale.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+from importlib import resources
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from jaxtyping import Float, Int64
+from numpy import ndarray
+from safetensors import SafetensorError, safe_open
+from safetensors.torch import save_file
+
+from neusub import __version__
+from neusub.errors import ModelError
+from neusub.mesh import Mesh
+from neusub.network import NeuralSubdivision, level_flaps
+from neusub.topology import Topology, connected_components, topology_levels
+
+__all__ = ["Subdivider", "model_names", "subdivide"]
+
+FORMAT = "neusub-model-1"
+DEFAULT_MODEL = "elephant"
+Scheme = Literal["neural", "loop", "butterfly", "midpoint"]
+Scale = Literal["edge", "box", "none"]
+
+
+def model_names() -> list[str]:
+    """Names of the models that come with the package."""
+    return sorted(path.name.removesuffix(".safetensors") for path in resources.files("neusub.weights").iterdir()
+                  if path.name.endswith(".safetensors"))
+
+
+class Subdivider:
+    """A trained network and its card.  The card's `scale` gives the training's unit box and mean coarse edge."""
+
+    def __init__(self, network: NeuralSubdivision, card: dict[str, Any]):
+        missing = {"architecture", "input", "scale"} - card.keys()
+        if missing:
+            raise ModelError(f"the model's card lacks {', '.join(sorted(missing))}. Save it with Subdivider.save.")
+        self.network = network.eval().requires_grad_(False)
+        self.card = card
+
+    @classmethod
+    def load(cls, name_or_path: str | Path = DEFAULT_MODEL, *, device: str = "auto",
+             dtype: torch.dtype = torch.float32) -> Subdivider:
+        """Load a model by its name (see `model_names`) or its file.  Raises ModelError."""
+        path = Path(name_or_path)
+        if str(name_or_path) in model_names():
+            path = Path(str(resources.files("neusub.weights") / f"{name_or_path}.safetensors"))
+        elif not path.is_file():
+            raise ModelError(f"{name_or_path}: neither a file nor a model that comes with neusub "
+                             f"({', '.join(model_names()) or 'there are none'}).")
+        try:
+            with safe_open(path, framework="pt") as file:
+                header = json.loads((file.metadata() or {}).get("neusub", "{}"))
+                weights = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+        except (SafetensorError, OSError, ValueError) as error:
+            raise ModelError(f"{path}: not a readable safetensors file ({error}).") from None
+        if header.get("format") != FORMAT:
+            raise ModelError(f"{path}: the header's format is {header.get('format')!r}, not {FORMAT!r}.")
+        card = {key: value for key, value in header.items() if key not in ("format", "version")}
+        architecture = card.get("architecture", {})
+        try:
+            network = NeuralSubdivision(architecture["width"], architecture["features"])
+            network.load_state_dict(weights)
+        except (KeyError, RuntimeError) as error:
+            raise ModelError(f"{path}: the weights do not fit the architecture {architecture} ({error}).") from None
+        return cls(network.to(resolve_device(device), dtype), card)
+
+    def save(self, path: str | Path) -> None:
+        """Write weights and card as one file, whole or not at all."""
+        header = {"format": FORMAT, "version": __version__, **self.card}
+        temporary = Path(f"{path}.part{os.getpid()}")
+        weights = {key: value.float().cpu().contiguous() for key, value in self.network.state_dict().items()}
+        save_file(weights, temporary, metadata={"neusub": json.dumps(header, sort_keys=True)})
+        temporary.replace(path)
+
+    def subdivide(self, mesh: Mesh, levels: int = 2, limit_levels: int = 0, *, scale: Scale = "edge") -> list[Mesh]:
+        """Levels 0 .. levels of the network, then `limit_levels` of classic Loop, in the mesh's own scale and place.
+
+        Level 0 has the input's faces and vertices that the network moved.  scale: what is brought to the card's
+        before the network and taken back after it, by one factor for all levels: "edge", each component's mean edge;
+        "box", the longest side of the whole mesh's box; "none", nothing.
+        UVs go linearly along each corner's edges, colours to the mean of an edge's ends.
+        Raises ValueError for levels below 1 or an unknown scale.
+        """
+        if levels < 1 or limit_levels < 0:
+            raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: at least one level, and none below 0.")
+        topologies, faces = topology_levels(mesh.faces, len(mesh.vertices), levels)
+        component, centre, factor = self._normalisation(mesh, topologies[0], scale)
+        weight = next(self.network.parameters())
+        start = (mesh.vertices - centre[component]) * factor[component, None]
+        with torch.inference_mode():
+            flaps = [level_flaps(topology, weight.device) for topology in topologies]
+            outputs = self.network(torch.as_tensor(start, dtype=weight.dtype, device=weight.device), flaps)
+            del flaps
+        connectivity = [*(topology.faces for topology in topologies), faces]
+        result, colors = [], mesh.colors
+        for level, output in enumerate(outputs):
+            if level:
+                edges = topologies[level - 1].edges
+                component = np.concatenate([component, component[edges[:, 0]]])
+                if colors is not None:
+                    colors = np.concatenate([colors, colors[edges].mean(axis=1)])
+            vertices = output.cpu().numpy() / factor[component, None] + centre[component]
+            if level == 0:
+                result.append(mesh.replace_vertices(vertices))
+            else:
+                result.append(result[-1].refined(vertices, connectivity[level], colors))
+        return result + _limit(result[-1], limit_levels)
+
+    def _normalisation(self, mesh: Mesh, topology: Topology, scale: Scale):
+        """Component of each vertex; centre (k, 3) and factor (k,) of each component."""
+        if scale == "edge":
+            count, component = connected_components(mesh.faces, len(mesh.vertices))
+            factor = self.card["scale"]["edge"] / _mean_edges(mesh.vertices, topology, component, count)
+        elif scale in ("box", "none"):
+            count, component = 1, np.zeros(len(mesh.vertices), dtype=np.int64)
+            side = float(np.ptp(mesh.vertices, axis=0).max())
+            factor = np.array([self.card["scale"]["box"] / (side or 1.0) if scale == "box" else 1.0])
+        else:
+            raise ValueError(f"scale {scale!r} is not one of 'edge', 'box', 'none'.")
+        weights = np.bincount(component, minlength=count)
+        centre = np.stack([np.bincount(component, mesh.vertices[:, k], count) / weights for k in range(3)], axis=1)
+        return component, centre, factor
+
+
+def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, "nV"], count: int) -> Float[ndarray, "k"]:
+    """Mean edge length of each component; 1 where all its vertices coincide."""
+    a, b = topology.edges.T
+    lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)
+    mean = np.bincount(component[a], lengths, count) / np.bincount(component[a], minlength=count)
+    return np.where(mean > 0, mean, 1.0)
+
+
+def _limit(mesh: Mesh, levels: int) -> list[Mesh]:
+    if not levels:
+        return []
+    from neusub.schemes import subdivide_classic
+
+    return subdivide_classic(mesh, "loop", levels)[1:]
+
+
+def resolve_device(device: str) -> str:
+    """`auto` is the GPU where there is one."""
+    if device != "auto":
+        return device
+    return "cuda" if torch.cuda.is_available() else "cpu"
+
+
+def subdivide(
+    mesh: Mesh,
+    scheme: Scheme = "neural",
+    levels: int = 2,
+    *,
+    model: str | Path | Subdivider = DEFAULT_MODEL,
+    limit_levels: int = 0,
+    scale: Scale = "edge",
+    device: str = "auto",
+    creases: Any = None,
+    crease_angle: float | None = None,
+) -> list[Mesh]:
+    """Refine a mesh by a network or a classical scheme; the list of its levels, 0 first.
+
+    model, scale, limit_levels, device: of the neural scheme (`Subdivider`); creases (edges as vertex pairs) or
+    crease_angle (degrees): edges that Loop and butterfly keep sharp.  Raises ValueError for an unknown scheme.
+    """
+    if scheme == "neural":
+        model = model if isinstance(model, Subdivider) else Subdivider.load(model, device=device)
+        return model.subdivide(mesh, levels, limit_levels, scale=scale)
+    from neusub.schemes import subdivide_classic
+
+    result = subdivide_classic(mesh, scheme, levels, creases=creases, crease_angle=crease_angle)
+    return result + _limit(result[-1], limit_levels)

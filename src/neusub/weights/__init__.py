@@ -1,0 +1,1 @@
+"""Shipped models: one safetensors file each, with its card in the header."""
