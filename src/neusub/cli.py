@@ -314,6 +314,9 @@ def for_each(paths: tuple[Path, ...], work: Callable[[Path], list[str]]) -> int:
 
     from neusub.errors import NeusubError
 
+    if not paths:
+        say("neusub: give at least one file", error=True)
+        return 2
     failed = 0
     for path in track(paths, transient=True) if len(paths) > 1 and sys.stderr.isatty() else paths:
         try:

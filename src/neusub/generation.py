@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -29,6 +28,7 @@ from safetensors.numpy import save_file
 
 from neusub import __version__
 from neusub.errors import PairFileError
+from neusub.files import replacing
 from neusub.network import LevelFlaps, level_flaps
 from neusub.topology import Topology, topology_levels
 
@@ -86,9 +86,8 @@ def save_pairs(pairs: list[Pair], path: str | Path, header: dict) -> None:
     if all(pair.decimated is not None for pair in pairs):
         arrays["decimated"] = np.concatenate([p.decimated for p in pairs]).astype(np.float32)
     header = {"format": FORMAT, "version": __version__, "count": len(pairs), "levels": pairs[0].levels, **header}
-    temporary = Path(f"{path}.part{os.getpid()}")
-    save_file(arrays, temporary, metadata={"neusub": json.dumps(header, sort_keys=True)})
-    temporary.replace(path)
+    with replacing(path) as new:
+        save_file(arrays, new, metadata={"neusub": json.dumps(header, sort_keys=True)})
 
 
 def read_header(path: str | Path) -> dict:

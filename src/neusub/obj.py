@@ -92,7 +92,8 @@ def _rows(rows: list[bytes], width: int, lines: list[bytes], key: bytes, path: P
             raise ValueError
         return np.array(tokens, dtype="S").astype(np.float64).reshape(-1, width)
     except ValueError:
-        for i, line in enumerate(lines):
+        i, line = 0, b""
+        for i, line in enumerate(lines):  # noqa: B007 (used after the loop)
             if line[: len(key) + 1] == key + b" ":
                 try:
                     if len([float(x) for x in line.split()[1:]][:width]) == width or key == b"vt":
@@ -143,8 +144,9 @@ def _absolute(
     if is_bad.any():
         k = int(np.argmax(is_bad))
         line = int(np.repeat(at, counts)[k])
+        shown = lines[line][:60].decode(errors="replace")
         raise IndexRangeError(
-            f"the face in line {line + 1}, '{lines[line][:60].decode(errors='replace')}', points outside the {n} {noun} "
+            f"the face in line {line + 1}, '{shown}', points outside the {n} {noun} "
             "of the file. Correct the index; indices count from 1, or back from -1."
         )
     index -= 1
@@ -208,19 +210,19 @@ def write_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
         parts.append(f"mtllib {name}.mtl\n".encode())
         files.update(_mtl_files(mesh, name))
     rows = mesh.vertices if mesh.colors is None else np.concatenate([mesh.vertices, mesh.colors[:, :3]], axis=1)
-    parts.append(_formatted(rows, "v" + " %r" * rows.shape[1] + "\n"))
+    parts.append(formatted_rows(rows, "v" + " %r" * rows.shape[1] + "\n"))
     if mesh.uv is not None and mesh.uv_faces is not None:
-        parts.append(_formatted(mesh.uv, "vt %r %r\n"))
+        parts.append(formatted_rows(mesh.uv, "vt %r %r\n"))
         corners = np.stack([mesh.faces, mesh.uv_faces], axis=2).reshape(-1, 6) + 1
         row = "f %d/%d %d/%d %d/%d\n"
     else:
         corners, row = mesh.faces + 1, "f %d %d %d\n"
     for header, start, stop in _runs(mesh):
-        parts.append(header + _formatted(corners[start:stop], row))
+        parts.append(header + formatted_rows(corners[start:stop], row))
     return {f"{name}.obj": b"".join(parts), **files}
 
 
-def _formatted(rows: ndarray, row: str, block: int = 65536) -> bytes:
+def formatted_rows(rows: ndarray, row: str, block: int = 65536) -> bytes:
     """`row % values` for each row, a block of rows in one formatting call; %r gives the shortest exact digits."""
     return b"".join(
         (row * len(part) % tuple(part.reshape(-1).tolist())).encode()

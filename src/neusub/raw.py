@@ -8,9 +8,9 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numpy import ndarray
 
-from neusub.mesh import EdgeGroups, Material, face_edge_groups, vertex_fans
+from neusub.mesh import EdgeGroups, Material, Mesh, face_edge_groups, vertex_fans
 
-__all__ = ["RawMesh", "triangulate", "weld"]
+__all__ = ["RawMesh", "bad_vertices", "split_at_seams", "triangulate", "weld"]
 
 
 @dataclass
@@ -56,7 +56,8 @@ def triangulate(
     for n in np.unique(counts):
         polygons = np.flatnonzero(counts == n)
         at = first[polygons, None] + np.arange(n)
-        pattern = np.tile(np.stack([np.zeros(n - 2, int), np.arange(1, n - 1), np.arange(2, n)], axis=1), (len(at), 1, 1))
+        fan = np.stack([np.zeros(n - 2, dtype=np.int64), np.arange(1, n - 1), np.arange(2, n)], axis=1)
+        pattern = np.tile(fan, (len(at), 1, 1))
         if n > 3:
             _bend_fans(pattern, vertices[np.clip(corners[at], 0, max(len(vertices) - 1, 0))])
         triangles.append(np.take_along_axis(at, pattern.reshape(len(at), -1), axis=1).reshape(-1, 3))
@@ -89,7 +90,7 @@ def _bend_fans(pattern: Int64[ndarray, "nP n-2 3"], points: Float64[ndarray, "nP
         pattern[k] = _cut_ears(points[k], normal[k])
 
 
-def _cut_ears(points: Float64[ndarray, "n 3"], normal: Float64[ndarray, "3"]) -> list[tuple[int, int, int]]:
+def _cut_ears(points: Float64[ndarray, "n 3"], normal: ndarray) -> list[tuple[int, int, int]]:
     """Triangles of a simple polygon: cut a convex corner whose triangle holds no other corner, again and again."""
     axis = int(np.argmax(np.abs(normal)))
     flat = np.delete(points, axis, axis=1) * ([-1, 1] if (axis == 1) != (normal[axis] < 0) else [1, 1])
@@ -221,3 +222,23 @@ def _differs_within(group: Int64[ndarray, " n"], attributes: Float64[ndarray, "n
     np.minimum.at(low, group, kind)
     np.maximum.at(high, group, kind)
     return (low != high)[group]
+
+
+def split_at_seams(mesh: Mesh) -> tuple[Int64[ndarray, " n"], Int64[ndarray, "nF 3"], Float64[ndarray, "n 2"] | None]:
+    """For files with one UV per vertex: the vertex of each row to write, the faces over the rows, the rows' UVs.
+
+    Rows 0 .. nV - 1 are the vertices themselves, each with one of its UVs; its other UVs follow in more rows.
+    """
+    n = len(mesh.vertices)
+    if mesh.uv is None or mesh.uv_faces is None:
+        return np.arange(n), mesh.faces, None
+    uv_row = _groups_of_equal_rows(mesh.uv)  # two rows of equal UVs are no seam in such a file
+    uv = np.zeros((uv_row.max() + 1, 2))
+    uv[uv_row] = mesh.uv
+    pairs, row = np.unique(mesh.faces * len(uv) + uv_row[mesh.uv_faces], return_inverse=True)
+    vertex, texture = pairs // len(uv), pairs % len(uv)
+    is_first = np.concatenate([[True], vertex[1:] != vertex[:-1]])
+    place = np.where(is_first, vertex, n - 1 + np.cumsum(~is_first))
+    index, rows_uv = np.arange(n + int((~is_first).sum())), np.zeros((n + int((~is_first).sum()), 2))
+    index[place], rows_uv[place] = vertex, uv[texture]
+    return index, place[row].reshape(-1, 3), rows_uv

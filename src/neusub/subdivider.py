@@ -7,7 +7,6 @@ on, under which licence, for which kind of input and at which scale.
 from __future__ import annotations
 
 import json
-import os
 from importlib import resources
 from pathlib import Path
 from typing import Any, Literal
@@ -21,6 +20,7 @@ from safetensors.torch import save_file
 
 from neusub import __version__
 from neusub.errors import ModelError
+from neusub.files import replacing
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision, level_flaps
 from neusub.topology import Topology, connected_components, topology_levels
@@ -79,10 +79,9 @@ class Subdivider:
     def save(self, path: str | Path) -> None:
         """Write weights and card as one file, whole or not at all."""
         header = {"format": FORMAT, "version": __version__, **self.card}
-        temporary = Path(f"{path}.part{os.getpid()}")
         weights = {key: value.float().cpu().contiguous() for key, value in self.network.state_dict().items()}
-        save_file(weights, temporary, metadata={"neusub": json.dumps(header, sort_keys=True)})
-        temporary.replace(path)
+        with replacing(path) as new:
+            save_file(weights, new, metadata={"neusub": json.dumps(header, sort_keys=True)})
 
     def subdivide(self, mesh: Mesh, levels: int = 2, limit_levels: int = 0, *, scale: Scale = "edge") -> list[Mesh]:
         """Levels 0 .. levels of the network, then `limit_levels` of classic Loop, in the mesh's own scale and place.

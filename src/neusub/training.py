@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import csv
 import json
-import os
 import time
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, fields
@@ -24,8 +23,10 @@ from torch import Tensor
 from neusub import __version__
 from neusub.configuration import PRESETS, TrainingConfig
 from neusub.errors import TrainingError
+from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, shortened
 from neusub.network import NeuralSubdivision
+from neusub.subdivider import Subdivider
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 
@@ -34,13 +35,12 @@ __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 class TrainingResult:
     """The best weights of a run and how it went."""
 
-    model: NeuralSubdivision
+    model: Subdivider
     best_loss: float
     best_epoch: int
     epochs: int
     seconds: float
     folder: Path
-    data: list[dict]  # headers of the pair files
 
 
 @dataclass
@@ -67,7 +67,10 @@ def train(
     resume: bool = False,
     on_epoch: Callable[[dict], None] | None = None,
 ) -> TrainingResult:
-    """Train a network from pair files; writes log.csv, TensorBoard events and checkpoint.safetensors into `out`.
+    """Train a network from pair files.
+
+    Writes into `out`: model.safetensors (the best weights so far, with their card), checkpoint.safetensors, log.csv and
+    TensorBoard events.
 
     on_epoch is called with each row of the log.  Raises TrainingError for a folder that already holds a run (unless
     resume), a checkpoint of another configuration or other data, or a loss that is not finite; PairFileError.
@@ -115,11 +118,39 @@ def train(
             row = log.write(state, training_loss, loss, config.epochs)
             if state.epoch % config.checkpoint_every == 0 or state.epoch == config.epochs:
                 save_checkpoint(checkpoint, model, optimizer, best, config, data, state)
+                best_model(best, pairs, config, data, state).save(out / "model.safetensors")
             if on_epoch:
                 on_epoch(row)
-    final = NeuralSubdivision(config.width, config.features)
-    final.load_state_dict({key: value.cpu() for key, value in best.items()})
-    return TrainingResult(final, state.best_loss, state.best_epoch, state.epoch, state.seconds, out, data)
+    return TrainingResult(best_model(best, pairs, config, data, state), state.best_loss, state.best_epoch, state.epoch,
+                          state.seconds, out)
+
+
+def best_model(best: dict[str, Tensor], pairs: list[Pair], config: TrainingConfig, data: list[dict],
+               state: _State) -> Subdivider:
+    """The best weights with their card."""
+    network = NeuralSubdivision(config.width, config.features)
+    network.load_state_dict({key: value.cpu() for key, value in best.items()})
+    keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
+    card = {
+        "architecture": {"kind": "half-flap", "width": config.width, "features": config.features},
+        "input": config.input,
+        "scale": {"box": 1.0, "edge": mean_coarse_edge(pairs)},
+        "training": {
+            "config": asdict(config),
+            "data": [{key: entry[key] for key in keys if key in entry} for entry in data],
+            "epochs": state.epoch,
+            "seconds": round(state.seconds, 1),
+        },
+        "licence": "; ".join(sorted({entry.get("licence", "not stated") for entry in data})),
+        "scores": {"validation_loss": state.best_loss, "validation_epoch": state.best_epoch},
+    }
+    return Subdivider(network, card)
+
+
+def mean_coarse_edge(pairs: list[Pair]) -> float:
+    """Mean edge length of the coarse meshes, in the unit of the targets: the longest side of a source's box."""
+    lengths = [np.linalg.norm(np.diff(pair.targets[pair.topologies[0].edges], axis=1), axis=-1).mean() for pair in pairs]
+    return float(np.mean(lengths))
 
 
 def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
@@ -188,10 +219,9 @@ def save_checkpoint(path: Path, model, optimizer, best: dict[str, Tensor], confi
     for index, moments in optimizer.state_dict()["state"].items():
         tensors |= {f"adam.{index}.{key}": value for key, value in moments.items()}
     header = {"config": asdict(config), "data": data, "state": asdict(state), "version": __version__}
-    temporary = path.with_name(f"{path.name}.part{os.getpid()}")
-    save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, temporary,
-              metadata={"neusub": json.dumps(header)})
-    temporary.replace(path)
+    with replacing(path) as new:
+        save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, new,
+                  metadata={"neusub": json.dumps(header)})
 
 
 def load_checkpoint(path: Path, model, optimizer, best: dict[str, Tensor], config: TrainingConfig,

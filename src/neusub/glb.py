@@ -1,0 +1,163 @@
+"""GLB on trimesh: its reader and writer take care of the container, this of seams, materials and nodes."""
+
+from __future__ import annotations
+
+import io
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+from neusub.mesh import Material
+from neusub.raw import RawMesh, split_at_seams, weld
+
+if TYPE_CHECKING:
+    from neusub.mesh import Mesh
+
+__all__ = ["parse_glb", "write_glb"]
+
+
+def parse_glb(data: bytes) -> RawMesh:
+    """All triangles of the scene, in world coordinates, joined across UV, normal and primitive seams."""
+    from trimesh.exchange.gltf import load_glb
+    from trimesh.scene.transforms import SceneGraph
+
+    content: dict[str, Any] = dict(load_glb(io.BytesIO(data)))
+    graph = SceneGraph()
+    for edge in content["graph"]:
+        graph.update(**edge)
+    parts: list[tuple[dict[str, Any], ndarray]] = []
+    for node in graph.nodes_geometry:
+        matrix, name = graph[node]
+        part = content["geometry"].get(name, {})
+        if len(part.get("faces", ())):
+            parts.append((part, np.asarray(matrix, dtype=np.float64)))
+    if not parts:
+        return RawMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
+    return _joined(parts)
+
+
+def _joined(parts: list[tuple[dict[str, Any], ndarray]]) -> RawMesh:
+    vertices, faces, uvs, colors, attributes, materials, material = [], [], [], [], [], [], []
+    start = 0
+    for k, (part, matrix) in enumerate(parts):
+        corners = np.asarray(part["faces"], dtype=np.int64) + start
+        mirrors = np.linalg.det(matrix[:3, :3]) < 0
+        faces.append(corners[:, ::-1] if mirrors else corners)
+        vertices.append(np.asarray(part["vertices"], dtype=np.float64) @ matrix[:3, :3].T + matrix[:3, 3])
+        n = len(vertices[-1])
+        start += n
+        visual = part.get("visual")
+        uvs.append(getattr(visual, "uv", None))
+        colors.append(_vertex_colors(part, visual, n))
+        normals = part.get("vertex_normals")
+        seam = np.zeros((n, 6))
+        seam[:, 0] = k
+        if uvs[-1] is not None:
+            seam[:, 1:3] = uvs[-1]
+        if normals is not None and len(normals) == n:
+            seam[:, 3:] = normals
+        attributes.append(seam)
+        material.append(np.full(len(corners), _material_index(getattr(visual, "material", None), materials)))
+    raw = RawMesh(np.concatenate(vertices), np.concatenate(faces))
+    if any(uv is not None for uv in uvs):
+        raw.uv = np.concatenate([np.zeros((len(v), 2)) if uv is None else uv for uv, v in zip(uvs, vertices)])
+        raw.uv = raw.uv.astype(np.float64)
+        raw.uv_faces = raw.faces.copy()
+    if any(c is not None for c in colors):
+        raw.colors = np.concatenate([np.ones((len(v), 4)) if c is None else c for c, v in zip(colors, vertices)])
+    if materials:
+        raw.materials = tuple(m for m, _ in materials)
+        raw.face_data["material"] = np.concatenate(material)
+    weld(raw, np.concatenate(attributes))
+    return raw
+
+
+def _vertex_colors(part: dict[str, Any], visual: Any, n: int) -> ndarray | None:
+    colors = part.get("vertex_colors")
+    if colors is None and getattr(visual, "kind", None) == "vertex":
+        colors = visual.vertex_colors
+    if colors is None:
+        colors = getattr(visual, "vertex_attributes", {}).get("color")
+    if colors is None or len(colors) != n:
+        return None
+    colors = np.asarray(colors)
+    rgba = np.ones((n, 4))
+    scale = {"u1": 255.0, "u2": 65535.0}.get(colors.dtype.str[1:], 1.0)
+    rgba[:, : colors.shape[1]] = colors / scale
+    return rgba
+
+
+def _material_index(found: Any, materials: list[tuple[Material, Any]]) -> int:
+    """The index of trimesh's material in the list, to which it is added if new; -1 for none."""
+    if found is None:
+        return -1
+    for k, (_, known) in enumerate(materials):
+        if known is found:
+            return k
+    factor = getattr(found, "baseColorFactor", None)
+    color = None
+    if factor is not None:
+        factor = np.asarray(factor)
+        r, g, b, a = (factor / 255.0 if factor.dtype.kind in "iu" else factor).tolist()
+        color = (r, g, b, a)
+    name = getattr(found, "name", None) or f"material_{len(materials)}"
+    image = getattr(found, "baseColorTexture", None)
+    textures = ()
+    if image is not None:
+        buffer = io.BytesIO()
+        image.save(buffer, format="PNG")
+        textures = (("map_Kd", f"{name}.png".replace("/", "_"), buffer.getvalue()),)
+    extra = []
+    for key, attribute in (("Pm", "metallicFactor"), ("Pr", "roughnessFactor")):
+        if getattr(found, attribute, None) is not None:
+            extra.append(f"{key} {getattr(found, attribute)!r}")
+    materials.append((Material(str(name).replace(" ", "_"), color, textures, tuple(extra)), found))
+    return len(materials) - 1
+
+
+def write_glb(mesh: Mesh, name: str) -> dict[str, bytes]:
+    """One primitive for each material, positions as float32 (the format's); vertices are split at UV seams.
+
+    Face data other than the material do not fit into a GLB.
+    """
+    import trimesh
+
+    index, faces, uv = split_at_seams(mesh)
+    material = mesh.face_data.get("material")
+    if material is None or not mesh.materials:
+        material = np.full(len(faces), 0 if mesh.materials else -1)
+    scene = trimesh.Scene()
+    for k in np.unique(material):
+        part = faces[material == k]
+        used, corners = np.unique(part, return_inverse=True)
+        piece = trimesh.Trimesh(mesh.vertices[index[used]], corners.reshape(-1, 3), process=False)
+        colors = None if mesh.colors is None else np.rint(np.clip(mesh.colors[index[used]], 0, 1) * 255).astype(np.uint8)
+        if k >= 0 or uv is not None:
+            pbr = _pbr(mesh.materials[k] if k >= 0 else Material())
+            piece.visual = trimesh.visual.TextureVisuals(uv=None if uv is None else uv[used], material=pbr)
+            if colors is not None:
+                piece.visual.vertex_attributes["color"] = colors
+        elif colors is not None:
+            piece.visual = trimesh.visual.ColorVisuals(piece, vertex_colors=colors)
+        scene.add_geometry(piece, geom_name=f"{name}_{max(int(k), 0)}")
+    content = scene.export(file_type="glb")
+    assert isinstance(content, bytes)
+    return {f"{name}.glb": content}
+
+
+def _pbr(material: Material) -> Any:
+    from PIL import Image
+    from trimesh.visual.material import PBRMaterial
+
+    values: dict[str, Any] = {"name": material.name}
+    if material.color is not None:
+        values["baseColorFactor"] = np.array(material.color)
+    for role, _, content in material.textures:
+        if role == "map_Kd":
+            values["baseColorTexture"] = Image.open(io.BytesIO(content))
+    for line in material.extra:
+        key, _, value = line.partition(" ")
+        if key in ("Pm", "Pr"):
+            values["metallicFactor" if key == "Pm" else "roughnessFactor"] = float(value)
+    return PBRMaterial(**values)

@@ -1,0 +1,254 @@
+"""Stanford PLY, ASCII and binary, on array code.
+
+Not on trimesh: its reader refuses binary files of mixed polygons, accepts truncated ASCII ones, and splits vertices.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy import ndarray
+
+from neusub.errors import MeshFileError
+from neusub.mesh import Material
+from neusub.raw import RawMesh, split_at_seams, triangulate, weld
+
+if TYPE_CHECKING:
+    from neusub.mesh import Mesh
+
+__all__ = ["parse_ply", "write_ply"]
+
+SIZES = {"char": "i1", "uchar": "u1", "short": "i2", "ushort": "u2", "int": "i4", "uint": "u4", "float": "f4"}
+SIZES |= {"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": "u2", "int32": "i4", "uint32": "u4"}
+SIZES |= {"int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8"}
+UV_NAMES = [("s", "t"), ("u", "v"), ("texture_u", "texture_v")]
+FACE_LISTS = ("vertex_indices", "vertex_index")
+
+# A property is (name, type, type of the count or None); an element is (name, number of rows, properties).
+Property = tuple[str, str, str | None]
+Columns = dict[str, Any]  # scalar: (n,); list: ((n,) counts, values of all rows)
+
+
+def parse_ply(data: bytes, path: Path) -> RawMesh:
+    """The mesh of a PLY file.  Raises: MeshFileError for a header or a body that is not whole."""
+    form, elements, comments, body = _header(data, path)
+    read: dict[str, Columns] = {}
+    values = _ascii_values(body, path) if form == "ascii" else body
+    order = ">" if form == "binary_big_endian" else "<"
+    at = 0
+    for name, n_rows, properties in elements:
+        try:
+            if isinstance(values, bytes):
+                read[name], at = _binary_element(values, at, n_rows, properties, order)
+            else:
+                read[name], at = _ascii_element(values, at, n_rows, properties)
+        except (IndexError, ValueError):
+            raise MeshFileError(
+                f"{path}: the file ends within its {n_rows} rows of '{name}'. It is truncated: get it again."
+            ) from None
+    return _assemble(read, comments, path)
+
+
+def _header(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[Property]]], list[str], bytes]:
+    end = data.find(b"end_header")
+    if not data.startswith(b"ply") or end < 0:
+        raise MeshFileError(f"{path}: no PLY header from 'ply' to 'end_header'. The file is truncated or of another kind.")
+    form, elements, comments = "", [], []
+    for line in data[:end].decode(errors="replace").splitlines()[1:]:
+        words = line.split()
+        try:
+            if words[:1] == ["format"]:
+                form = words[1]
+            elif words[:1] == ["comment"]:
+                comments.append(line.strip()[8:])
+            elif words[:1] == ["element"]:
+                elements.append((words[1], int(words[2]), []))
+            elif words[:2] == ["property", "list"]:
+                elements[-1][2].append((words[4], SIZES[words[3]], SIZES[words[2]]))
+            elif words[:1] == ["property"]:
+                elements[-1][2].append((words[2], SIZES[words[1]], None))
+        except (IndexError, KeyError, ValueError):
+            raise MeshFileError(f"{path}: the header line '{line.strip()}' is not PLY. Correct it.") from None
+    if form not in ("ascii", "binary_little_endian", "binary_big_endian"):
+        raise MeshFileError(f"{path}: unknown PLY format '{form}'. Save it as ascii or binary_little_endian.")
+    return form, elements, comments, data[data.find(b"\n", end) + 1 :]
+
+
+def _ascii_values(body: bytes, path: Path) -> ndarray:
+    try:
+        return np.array(body.split() or [b"0"], dtype="S").astype(np.float64)
+    except ValueError as error:
+        raise MeshFileError(f"{path}: {error}. Correct that value.") from None
+
+
+def _ascii_element(values: ndarray, at: int, n: int, properties: list[Property]) -> tuple[Columns, int]:
+    """n rows from `values[at:]`, at once if all rows have the lists' lengths of the first, else one by one."""
+    lengths, width = {}, 0
+    for name, _, count_type in properties if n else []:
+        lengths[name] = 1 if count_type is None else int(values[at + width])
+        width += lengths[name] + (count_type is not None)
+    table = values[at : at + n * width]
+    if len(table) == n * width:
+        columns, k, table = {}, 0, table.reshape(n, width)
+        for name, kind, count_type in properties:
+            length = lengths.get(name, 0)
+            if count_type is None:
+                columns[name] = table[:, k].astype(kind) if n else np.zeros(0, kind)
+            elif n == 0 or (table[:, k] == length).all():
+                k += 1
+                columns[name] = (np.full(n, length), table[:, k : k + length].astype(kind).reshape(-1))
+            else:
+                break
+            k += length
+        else:
+            return columns, at + n * width
+    return _walk(n, properties, at, lambda k, _: (values[k], k + 1), lambda k, m, _: (values[k : k + m], k + m))
+
+
+def _binary_element(body: bytes, at: int, n: int, properties: list[Property], order: str) -> tuple[Columns, int]:
+    fields, offset = [], at
+    for name, kind, count_type in properties if n else []:
+        if count_type is None:
+            fields.append((name, order + kind))
+            offset += np.dtype(kind).itemsize
+        else:
+            length = int(np.frombuffer(body, order + count_type, 1, offset)[0])
+            fields += [(name + "#", order + count_type), (name, order + kind, (length,))]
+            offset += np.dtype(count_type).itemsize + length * np.dtype(kind).itemsize
+    row = np.dtype(fields)
+    if at + n * row.itemsize <= len(body):
+        table = np.frombuffer(body, row, n, at) if n else np.zeros(0, [(p[0], p[1]) for p in properties])
+        same = all((table[p[0] + "#"] == table[p[0]].shape[1]).all() for p in properties if p[2] and n)
+        if same:
+            columns: Columns = {
+                p[0]: np.ascontiguousarray(table[p[0]])
+                if p[2] is None
+                else (np.full(n, table[p[0]].shape[1] if n else 0), table[p[0]].reshape(-1))
+                for p in properties
+            }
+            return columns, at + n * row.itemsize
+
+    def scalar(k: int, kind: str) -> tuple[Any, int]:
+        return np.frombuffer(body, order + kind, 1, k)[0], k + np.dtype(kind).itemsize
+
+    def several(k: int, m: int, kind: str) -> tuple[ndarray, int]:
+        return (np.frombuffer(body, order + kind, m, k) if m else np.zeros(0, kind)), k + m * np.dtype(kind).itemsize
+
+    return _walk(n, properties, at, scalar, several)
+
+
+def _walk(n: int, properties: list[Property], at: int, scalar: Any, several: Any) -> tuple[Columns, int]:
+    """Rows of different lengths, one by one.  Raises: ValueError or IndexError where the values run out."""
+    found: dict[str, list[Any]] = {p[0]: [] for p in properties}
+    for _ in range(n):
+        for name, kind, count_type in properties:
+            if count_type is None:
+                value, at = scalar(at, kind)
+            else:
+                length, at = scalar(at, count_type)
+                value, at = several(at, int(length), kind)
+                if len(value) != int(length):
+                    raise ValueError
+            found[name].append(value)
+    columns: Columns = {}
+    for name, kind, count_type in properties:
+        rows = found[name]
+        columns[name] = (
+            np.array(rows).astype(kind)
+            if count_type is None
+            else (np.array([len(row) for row in rows]), np.concatenate([*rows, []]).astype(kind))
+        )
+    return columns, at
+
+
+def _assemble(read: dict[str, Columns], comments: list[str], path: Path) -> RawMesh:
+    vertex, face = read.get("vertex", {}), read.get("face", {})
+    if not {"x", "y", "z"} <= set(vertex):
+        raise MeshFileError(f"{path}: no vertices with x, y and z. Save it as a mesh.")
+    vertices = np.stack([vertex[k] for k in "xyz"], axis=1).astype(np.float64)
+    raw = RawMesh(vertices, np.zeros((0, 3), dtype=np.int64), colors=_colors(vertex))
+    name = next((name for name in FACE_LISTS if name in face), None)
+    if name is None:
+        if "tristrips" in read:
+            raise MeshFileError(f"{path}: triangle strips are not read. Save it with triangles.")
+        return raw
+    counts, corners = (np.asarray(values).astype(np.int64) for values in face[name])
+    if (counts < 3).any():
+        raw.report.append(f"dropped {(counts < 3).sum()} polygons of less than three corners")
+        corners = corners[np.repeat(counts >= 3, counts)]
+    kept = np.flatnonzero(counts >= 3)
+    triangles, polygon = triangulate(counts[kept], corners, vertices)
+    raw.faces = corners[triangles]
+    if (counts > 3).any():
+        raw.report.append(f"cut {(counts > 3).sum()} polygons of more than three corners into triangles")
+    for key, values in face.items():
+        if not isinstance(values, tuple):
+            raw.face_data[key] = np.asarray(values)[kept][polygon]
+    _texture(raw, vertex, face, counts, kept, triangles)
+    for comment in comments:
+        image = path.parent / comment[12:].strip()
+        if comment.startswith("TextureFile ") and image.is_file():
+            raw.materials += (Material(image.stem, textures=(("map_Kd", image.name, image.read_bytes()),)),)
+    if raw.materials:
+        raw.face_data.setdefault("material", np.zeros(len(raw.faces), dtype=np.int64))
+    return raw
+
+
+def _texture(raw: RawMesh, vertex: Columns, face: Columns, counts: ndarray, kept: ndarray, triangles: ndarray) -> None:
+    """UVs of the corners, or of the vertices; the latter, and normals, make seams, which are joined."""
+    coordinates = face.get("texcoord")
+    if coordinates is not None and (coordinates[0] == 2 * counts).all() and len(kept) == len(counts):
+        rows, index = np.unique(coordinates[1].reshape(-1, 2).astype(np.float64), axis=0, return_inverse=True)
+        raw.uv, raw.uv_faces = rows, index.reshape(-1)[triangles].astype(np.int64)
+    attributes = []
+    for names in UV_NAMES:
+        if raw.uv is None and set(names) <= set(vertex):
+            raw.uv = np.stack([vertex[name] for name in names], axis=1).astype(np.float64)
+            raw.uv_faces = raw.faces.copy()
+            attributes.append(raw.uv)
+    if {"nx", "ny", "nz"} <= set(vertex):
+        attributes.append(np.stack([vertex[k] for k in ("nx", "ny", "nz")], axis=1).astype(np.float64))
+    if attributes:
+        weld(raw, np.concatenate(attributes, axis=1))
+
+
+def _colors(vertex: Columns) -> ndarray | None:
+    names = [name for name in ("red", "green", "blue", "alpha") if name in vertex]
+    if len(names) < 3:
+        return None
+    columns = np.stack([vertex[name] for name in names], axis=1)
+    return columns / {1: 255.0, 2: 65535.0}.get(columns.dtype.itemsize, 1.0)
+
+
+def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
+    """Binary little-endian, positions as double, colours as uchar; a vertex on a UV seam is written once for each UV.
+
+    Numbers of one per face go along; other face data, and all textures but the first, do not fit into a PLY.
+    """
+    index, faces, uv = split_at_seams(mesh)
+    header = ["ply", "format binary_little_endian 1.0", "comment neusub"]
+    textures = [t for m in mesh.materials for t in m.textures if t[0] == "map_Kd"][:1]
+    header += [f"comment TextureFile {t[1]}" for t in textures]
+    columns = [("double", axis, mesh.vertices[index, k]) for k, axis in enumerate("xyz")]
+    if uv is not None:
+        columns += [("double", "s", uv[:, 0]), ("double", "t", uv[:, 1])]
+    if mesh.colors is not None:
+        bytes_ = np.rint(np.clip(mesh.colors[index], 0, 1) * 255)
+        columns += [("uchar", c, bytes_[:, k]) for k, c in zip(range(bytes_.shape[1]), ("red", "green", "blue", "alpha"))]
+    header += [f"element vertex {len(index)}", *(f"property {kind} {name}" for kind, name, _ in columns)]
+    vertex = np.empty(len(index), dtype=[(name, "<" + SIZES[kind]) for kind, name, _ in columns])
+    for _, column, values in columns:
+        vertex[column] = values
+    data = {k: v for k, v in mesh.face_data.items() if v.ndim == 1 and v.dtype.kind in "iuf" and " " not in k}
+    kinds = {k: "double" if v.dtype.kind == "f" else "int" for k, v in data.items()}
+    header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
+    header += [f"property {kinds[k]} {k}" for k in data]
+    row = [("count", "u1"), ("corners", "<i4", (3,)), *((k, "<" + SIZES[kinds[k]]) for k in data)]
+    face = np.empty(len(faces), dtype=row)
+    face["count"], face["corners"] = 3, faces
+    for k, values in data.items():
+        face[k] = values
+    text = "\n".join([*header, "end_header\n"]).encode()
+    return {f"{name}.ply": text + vertex.tobytes() + face.tobytes(), **{t[1]: t[2] for t in textures}}

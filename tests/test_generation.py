@@ -1,0 +1,89 @@
+"""Truths of pair files and batches."""
+
+import numpy as np
+import pytest
+import shapes
+from test_network import make_pair
+
+from neusub.errors import PairFileError
+from neusub.generation import Pair, import_pairs, load_pairs, read_header, save_pairs, shortened
+
+
+@pytest.fixture
+def pairs() -> list[Pair]:
+    return [make_pair(*shapes.torus(6, 5), 0), make_pair(*shapes.icosahedron(), 1)]
+
+
+def test_pairs_survive_a_file_and_the_header_says_what_they_are(pairs, tmp_path):
+    path = tmp_path / "pairs.safetensors"
+    save_pairs(pairs, path, {"source": "torus", "licence": "CC0"})
+    for was, now in zip(pairs, load_pairs(path)):
+        assert np.array_equal(was.faces, now.faces)
+        assert np.array_equal(was.targets, now.targets)
+        assert was.level_sizes == now.level_sizes
+    header = read_header(path)
+    assert (header["source"], header["licence"], header["count"], header["levels"]) == ("torus", "CC0", 2, 2)
+    assert [p.name for p in tmp_path.iterdir()] == ["pairs.safetensors"]
+
+
+def test_a_file_without_decimated_positions_says_so(pairs):
+    with pytest.raises(PairFileError, match="no decimated positions"):
+        pairs[0].positions("decimated")
+
+
+def test_a_broken_file_is_a_named_error(pairs, tmp_path):
+    path = tmp_path / "pairs.safetensors"
+    save_pairs(pairs, path, {})
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(PairFileError, match="not a readable"):
+        load_pairs(path)
+    with pytest.raises(PairFileError, match="no such file"):
+        load_pairs(tmp_path / "absent.safetensors")
+
+
+def test_targets_that_do_not_fit_their_faces_are_a_named_error(pairs, tmp_path):
+    wrong = Pair(pairs[0].faces, pairs[0].targets[:-1], pairs[0].level_sizes)
+    save_pairs([wrong], tmp_path / "p.safetensors", {})
+    with pytest.raises(PairFileError, match="its targets have"):
+        load_pairs(tmp_path / "p.safetensors")
+
+
+def test_a_shortened_pair_has_the_prefix_of_the_targets(pairs):
+    short = shortened(pairs[0], 1)
+    assert np.array_equal(short.targets, pairs[0].targets[: pairs[0].level_sizes[1]])
+    with pytest.raises(PairFileError, match="3 were asked for"):
+        shortened(pairs[0], 3)
+
+
+def write_obj(path, vertices, faces):
+    lines = [f"v {x} {y} {z}" for x, y, z in vertices] + [f"f {a} {b} {c}" for a, b, c in faces + 1]
+    path.write_text("\n".join(lines) + "\n")
+
+
+def test_folders_of_obj_levels_are_imported(pairs, tmp_path):
+    from neusub.topology import refine_faces
+
+    for level in range(3):
+        (tmp_path / f"in/subd{level}").mkdir(parents=True)
+    for k, pair in enumerate(pairs):
+        connectivity = [t.faces for t in pair.topologies] + [refine_faces(pair.topologies[-1])]
+        for level, size in enumerate(pair.level_sizes):
+            write_obj(tmp_path / f"in/subd{level}/{k:03d}.obj", pair.targets[:size], connectivity[level])
+    (path,) = import_pairs(tmp_path / "in", tmp_path / "out")
+    for was, now in zip(pairs, load_pairs(path)):
+        assert np.array_equal(was.faces, now.faces)
+        assert np.allclose(was.targets, now.targets, atol=1e-6)
+
+
+def test_the_authors_archive_gives_200_and_10_pairs(elephant, tmp_path):
+    train, validation = import_pairs(elephant, tmp_path, licence="MPL-2.0")
+    assert (read_header(train)["count"], read_header(validation)["count"]) == (200, 10)
+    data = np.load(elephant)
+    first = load_pairs(train)[0]
+    assert np.array_equal(first.targets, data["train_V2"][: data["train_nV"][0, 2]])
+
+
+def test_a_source_of_another_kind_is_a_named_error(tmp_path):
+    with pytest.raises(PairFileError, match="neither an npz"):
+        import_pairs(tmp_path / "nothing", tmp_path / "out")

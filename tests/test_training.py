@@ -1,0 +1,99 @@
+"""Truths of the training loop."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import shapes
+import torch
+from safetensors.torch import load_file
+from test_network import make_pair
+
+from neusub.configuration import TrainingConfig
+from neusub.errors import TrainingError
+from neusub.generation import Pair, save_pairs
+from neusub.schemes import subdivision_matrix
+from neusub.subdivider import Subdivider
+from neusub.topology import topology_levels
+from neusub.training import train
+
+CONFIG = TrainingConfig(epochs=4, checkpoint_every=1, device="cpu")
+
+
+def loop_pair(vertices, faces) -> Pair:
+    """Targets that Loop subdivision gives: something that a network can learn."""
+    pair = make_pair(vertices, faces, 0)
+    levels = [np.asarray(vertices)]
+    for topology in topology_levels(faces, len(vertices), 2)[0]:
+        levels.append(subdivision_matrix(topology, "loop") @ levels[-1])
+    return replace(pair, targets=levels[-1].astype(np.float32))
+
+
+@pytest.fixture
+def files(tmp_path):
+    pairs = [loop_pair(*shapes.torus(n, m)) for n, m in ((6, 5), (7, 5), (8, 6))] + [loop_pair(*shapes.icosahedron())]
+    save_pairs(pairs, tmp_path / "train.safetensors", {"source": "made", "licence": "CC0"})
+    save_pairs(pairs[:1], tmp_path / "validation.safetensors", {"source": "made", "licence": "CC0"})
+    return [tmp_path / "train.safetensors"], [tmp_path / "validation.safetensors"]
+
+
+@pytest.mark.parametrize("batch, schedule", [(1, "constant"), (3, "cosine")])
+def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(files, tmp_path, batch, schedule):
+    config = replace(CONFIG, batch=batch, schedule=schedule)
+    train(*files, tmp_path / "whole", config)
+
+    class Interrupted(Exception):
+        pass
+
+    def interrupt(row):
+        if row["epoch"] == 2:
+            raise Interrupted
+
+    with pytest.raises(Interrupted):
+        train(*files, tmp_path / "parts", config, on_epoch=interrupt)
+    train(*files, tmp_path / "parts", config, resume=True)
+    whole, parts = (load_file(tmp_path / run / "checkpoint.safetensors") for run in ("whole", "parts"))
+    assert whole.keys() == parts.keys()
+    assert all(torch.equal(whole[key], parts[key]) for key in whole)
+    without_time = [[line.split(",")[:5] for line in (tmp_path / run / "log.csv").read_text().splitlines()]
+                    for run in ("whole", "parts")]
+    assert without_time[0] == without_time[1]
+    assert len(without_time[0]) == 5
+
+
+def test_the_loss_falls_and_the_best_weights_are_saved_with_their_card(files, tmp_path):
+    losses = []
+    config = replace(CONFIG, epochs=30)
+    result = train(*files, tmp_path / "run", config, on_epoch=lambda row: losses.append(row["validation_loss"]))
+    assert min(losses) < 0.5 * losses[0]
+    assert result.best_loss == min(losses)
+    assert result.best_epoch == losses.index(min(losses)) + 1
+    card = Subdivider.load(tmp_path / "run" / "model.safetensors").card
+    assert card["scores"]["validation_loss"] == min(losses)
+    assert card["licence"] == "CC0"
+    assert card["training"]["data"][0]["source"] == "made"
+
+
+def test_the_seed_decides_the_run(files, tmp_path):
+    one = train(*files, tmp_path / "1", CONFIG).best_loss
+    assert train(*files, tmp_path / "2", CONFIG).best_loss == one
+    assert train(*files, tmp_path / "3", replace(CONFIG, seed=1)).best_loss != one
+
+
+def test_a_folder_that_holds_a_run_is_not_overwritten(files, tmp_path):
+    train(*files, tmp_path / "run", CONFIG)
+    with pytest.raises(TrainingError, match="resume"):
+        train(*files, tmp_path / "run", CONFIG)
+
+
+def test_a_run_is_not_resumed_with_other_options_or_data(files, tmp_path):
+    train(*files, tmp_path / "run", CONFIG)
+    with pytest.raises(TrainingError, match="learning_rate"):
+        train(*files, tmp_path / "run", replace(CONFIG, learning_rate=1.0), resume=True)
+    with pytest.raises(TrainingError, match="other pair files"):
+        train(files[1], files[1], tmp_path / "run", CONFIG, resume=True)
+
+
+def test_a_loss_that_is_not_finite_is_a_named_error(files, tmp_path):
+    with pytest.raises(TrainingError, match="not finite"):
+        train(*files, tmp_path / "run", replace(CONFIG, learning_rate=1e30))
