@@ -67,7 +67,7 @@ def test_a_sphere_gets_rounder(model):
 
 
 def test_colours_uvs_and_face_data_follow(model):
-    textured = shapes.uv_box()
+    textured = Mesh(**shapes.uv_box())
     mesh = Mesh(textured.vertices, textured.faces, textured.uv, textured.uv_faces,
                 colors=np.random.default_rng(0).random((len(textured.vertices), 3)),
                 face_data={"label": np.arange(len(textured.faces))})

@@ -132,7 +132,9 @@ def write_glb(mesh: Mesh, name: str) -> dict[str, bytes]:
         part = faces[material == k]
         used, corners = np.unique(part, return_inverse=True)
         piece = trimesh.Trimesh(mesh.vertices[index[used]], corners.reshape(-1, 3), process=False)
-        colors = None if mesh.colors is None else np.rint(np.clip(mesh.colors[index[used]], 0, 1) * 255).astype(np.uint8)
+        colors = (
+            None if mesh.colors is None else np.rint(np.clip(mesh.colors[index[used]], 0, 1) * 255).astype(np.uint8)
+        )
         if k >= 0 or uv is not None:
             pbr = _pbr(mesh.materials[k] if k >= 0 else Material())
             piece.visual = trimesh.visual.TextureVisuals(uv=None if uv is None else uv[used], material=pbr)

@@ -5,7 +5,7 @@
 | kind | vertices | order of vertices | besides positions and faces |
 |---|---|---|---|
 | OBJ | never joined | the file's | UVs with seams, materials, textures, groups, colours; float64 |
-| PLY | only across a UV or normal seam | the file's | UVs with seams, first texture, colours (8 bit), numbers per face |
+| PLY | only across a UV or normal seam | the file's | UVs with seams, a texture, colours (8 bit), numbers per face |
 | GLB | only across a UV, normal or primitive seam | the file's | UVs with seams, materials, base textures, colours |
 | STL | wherever positions are bit-equal | of first use | nothing; float32 |
 | OFF | never joined | the file's | nothing; float64 |
@@ -15,7 +15,6 @@ from __future__ import annotations
 
 import io
 import os
-import tempfile
 import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,6 +22,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from neusub.errors import MeshFileError, NeusubError
+from neusub.files import replacing
 from neusub.mesh import Mesh
 from neusub.raw import RawMesh, triangulate, weld
 
@@ -116,18 +116,11 @@ def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> No
 
 def _write_whole(path: Path, content: bytes) -> None:
     try:
-        handle, temporary = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
+        with replacing(path) as new:
+            new.write_bytes(content)
+    except MeshFileError:
+        raise
     except OSError as error:
-        raise MeshFileError(f"the folder {path.parent} is not writable: {error.strerror}. Choose another.") from None
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        umask = os.umask(0)
-        os.umask(umask)
-        Path(temporary).chmod(0o666 & ~umask)  # mkstemp's own mode hides the file from others
-        Path(temporary).replace(path)
-    except OSError as error:
-        Path(temporary).unlink(missing_ok=True)
         raise MeshFileError(f"{path} cannot be written: {error.strerror}. Check space and permissions.") from None
 
 
@@ -202,18 +195,22 @@ def _write_stl(mesh: Mesh, name: str) -> dict[str, bytes]:
 
 
 def _parse_off(data: bytes, path: Path) -> RawMesh:
-    words = b" ".join(line.split(b"#", 1)[0] for line in data.splitlines()).split()
-    if words[:1] != [b"OFF"]:
+    """Not on trimesh, whose reader triangulates and takes vertices apart in silence."""
+    rows = [row for row in (line.split(b"#", 1)[0].split() for line in data.splitlines()) if row]
+    if rows[0][0] != b"OFF":
         raise MeshFileError(f"{path}: the file does not begin with OFF. Only plain OFF is read: save it so.")
-    n_vertices, n_polygons = int(words[1]), int(words[2])
-    end = 4 + 3 * n_vertices
-    vertices = np.array(words[4:end], dtype="S").astype(np.float64).reshape(n_vertices, 3)
-    counts, corners, lines = [], [], iter(words[end:])
-    for _ in range(n_polygons):
-        counts.append(int(next(lines)))
-        corners += [int(next(lines)) for _ in range(counts[-1])]
-    count = np.array(counts, dtype=np.int64)
-    flat = np.array(corners, dtype=np.int64)
+    header, rows = (rows[0][1:], rows[1:]) if len(rows[0]) > 1 else (rows[1], rows[2:])
+    n_vertices, n_polygons = int(header[0]), int(header[1])
+    if len(rows) < n_vertices + n_polygons:
+        raise MeshFileError(
+            f"{path}: {len(rows)} rows for {n_vertices} vertices and {n_polygons} faces. It is truncated."
+        )
+    vertices = np.array([row[:3] for row in rows[:n_vertices]], dtype="S").astype(np.float64).reshape(-1, 3)
+    polygons = rows[n_vertices : n_vertices + n_polygons]
+    count = np.array([int(row[0]) for row in polygons], dtype=np.int64)
+    flat = np.array([x for n, row in zip(count, polygons) for x in row[1 : n + 1]] or [b"0"], dtype="S").astype(
+        np.int64
+    )
     triangles, _ = triangulate(count, flat, vertices)
     raw = RawMesh(vertices, flat[triangles])
     if (count > 3).any():

@@ -20,7 +20,7 @@ from neusub.raw import RawMesh, triangulate
 if TYPE_CHECKING:
     from neusub.mesh import Mesh
 
-__all__ = ["parse_obj", "write_obj"]
+__all__ = ["formatted_rows", "parse_obj", "write_obj"]
 
 
 def parse_obj(text: bytes, path: Path) -> RawMesh:
@@ -32,8 +32,8 @@ def parse_obj(text: bytes, path: Path) -> RawMesh:
     at = np.array([i for i, line in enumerate(lines) if line[:2] == b"f "], dtype=np.int64)
     counts, corners, uv_corners = _corners([lines[i][2:] for i in at], at, path)
     _absolute(corners, counts, at, lines, b"v ", len(vertices), "vertices")
-    is_textured = uv is not None and len(corners) > 0
-    if is_textured:
+    is_textured = False
+    if uv is not None and len(corners):
         absent = uv_corners == 0
         uv_corners[absent] = 1
         _absolute(uv_corners, counts, at, lines, b"vt ", len(uv), "texture vertices")
@@ -130,9 +130,7 @@ def _corners(rows: list[bytes], at: ndarray, path: Path) -> tuple[ndarray, ndarr
     return counts, numbers[:, 0].copy(), uv
 
 
-def _absolute(
-    index: ndarray, counts: ndarray, at: ndarray, lines: list[bytes], key: bytes, n: int, noun: str
-) -> None:
+def _absolute(index: ndarray, counts: ndarray, at: ndarray, lines: list[bytes], key: bytes, n: int, noun: str) -> None:
     """Turn the file's indices into ones from 0, in place; a negative one counts back from its line."""
     is_bad = (index == 0) | (index > n)
     negative = index < 0

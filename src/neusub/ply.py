@@ -54,7 +54,9 @@ def parse_ply(data: bytes, path: Path) -> RawMesh:
 def _header(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[Property]]], list[str], bytes]:
     end = data.find(b"end_header")
     if not data.startswith(b"ply") or end < 0:
-        raise MeshFileError(f"{path}: no PLY header from 'ply' to 'end_header'. The file is truncated or of another kind.")
+        raise MeshFileError(
+            f"{path}: no PLY header from 'ply' to 'end_header'. The file is truncated or of another kind."
+        )
     form, elements, comments = "", [], []
     for line in data[:end].decode(errors="replace").splitlines()[1:]:
         words = line.split()
@@ -104,7 +106,14 @@ def _ascii_element(values: ndarray, at: int, n: int, properties: list[Property])
             k += length
         else:
             return columns, at + n * width
-    return _walk(n, properties, at, lambda k, _: (values[k], k + 1), lambda k, m, _: (values[k : k + m], k + m))
+
+    def scalar(k: int, _: str) -> tuple[Any, int]:
+        return values[k], k + 1
+
+    def several(k: int, m: int, _: str) -> tuple[ndarray, int]:
+        return values[k : k + m], k + m
+
+    return _walk(n, properties, at, scalar, several)
 
 
 def _binary_element(body: bytes, at: int, n: int, properties: list[Property], order: str) -> tuple[Columns, int]:
@@ -236,7 +245,9 @@ def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
         columns += [("double", "s", uv[:, 0]), ("double", "t", uv[:, 1])]
     if mesh.colors is not None:
         bytes_ = np.rint(np.clip(mesh.colors[index], 0, 1) * 255)
-        columns += [("uchar", c, bytes_[:, k]) for k, c in zip(range(bytes_.shape[1]), ("red", "green", "blue", "alpha"))]
+        columns += [
+            ("uchar", c, bytes_[:, k]) for k, c in zip(range(bytes_.shape[1]), ("red", "green", "blue", "alpha"))
+        ]
     header += [f"element vertex {len(index)}", *(f"property {kind} {name}" for kind, name, _ in columns)]
     vertex = np.empty(len(index), dtype=[(name, "<" + SIZES[kind]) for kind, name, _ in columns])
     for _, column, values in columns:

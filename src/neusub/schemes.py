@@ -18,7 +18,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Any, Literal
+from typing import Any
 
 import numpy as np
 from jaxtyping import Bool, Float64, Int64
@@ -38,8 +38,6 @@ __all__ = [
     "subdivision_operator",
 ]
 
-Scheme = Literal["midpoint", "loop", "butterfly"]
-LoopWeights = Literal["loop", "warren"]
 Block = tuple[ndarray, ndarray, ndarray]  # rows (n,), each at most once; columns (n, w); weights (w,) or (n, w)
 
 
@@ -114,7 +112,7 @@ def subdivide_classic(
     """Meshes of levels 0 .. `levels`; level 0 is the input.
 
     creases: as in `subdivision_matrix`.  crease_angle: degrees; edges whose dihedral angle is larger are creases too.
-    Colours follow the scheme and are clipped to their range.
+    Colours follow the scheme, clipped to [0, 1].
     Raises: ValueError as `subdivision_matrix` does.
     """
     sharp = None if creases is None else crease_mask(mesh.topology, creases)
@@ -125,19 +123,12 @@ def subdivide_classic(
     for level in range(levels):
         topology = mesh.topology
         matrix = subdivision_matrix(topology, scheme, weights=weights, creases=sharp)
-        colors = None if mesh.colors is None else _clip_colors(matrix @ mesh.colors, mesh.colors.dtype)
+        colors = None if mesh.colors is None else np.clip(matrix @ mesh.colors, 0, 1)
         mesh = mesh.refined(matrix @ mesh.vertices, refine_faces(topology), colors)
         meshes.append(mesh)
         if sharp is not None and level + 1 < levels:
             sharp = refine_creases(topology, sharp, mesh.topology)
     return meshes
-
-
-def _clip_colors(colors: ndarray, dtype: np.dtype) -> ndarray:
-    """Back to the range and type that the colours came in: 0 .. max of an integer type, 0 .. 1 of floats."""
-    if np.issubdtype(dtype, np.integer):
-        return np.clip(np.rint(colors), 0, np.iinfo(dtype).max).astype(dtype)
-    return np.clip(colors, 0, 1).astype(dtype)
 
 
 # ---- creases ----------------------------------------------------------------------------------------------------
@@ -362,12 +353,12 @@ class _Around:
 
     def fan(self, start: Int64[ndarray, "n"], k: int) -> Int64[ndarray, "n k+1"]:
         """The k + 1 neighbours on one side of a curve; `start` runs along the curve."""
-        return np.concatenate([self.ring(start, k - 1), self._last_two(start, k)], axis=1)
-
-    def _last_two(self, h: Int64[ndarray, "n"], k: int) -> Int64[ndarray, "n 2"]:
+        last = _previous(start)
+        columns = [self.head[start], self.tail[last]]
         for _ in range(k - 1):
-            h = self.twins[_previous(h)]
-        return np.stack([self.head[h], self.tail[_previous(h)]], axis=1)
+            last = _previous(self.twins[last])
+            columns.append(self.tail[last])
+        return np.stack(columns, axis=1)
 
     def fan_start(self, h: Int64[ndarray, "n"]) -> tuple[Int64[ndarray, "n"], Int64[ndarray, "n"]]:
         """The sharp half-edge that begins the side of the curve where h is, and the position of h in that fan."""

@@ -1,0 +1,152 @@
+"""Info says what a mesh is; repair gives a valid mesh or names what only a guess could mend."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import shapes
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from neusub import errors
+from neusub.mesh import Mesh, find_problems
+from neusub.raw import RawMesh
+from neusub.repair import info, repair
+
+
+@pytest.mark.parametrize("g", range(4))
+def test_genus_is_the_number_of_handles(g):
+    assert info(RawMesh(*shapes.genus(g))).genus == g
+
+
+@pytest.mark.parametrize(
+    "shape, loops, genus",
+    [(shapes.grid(), 1, 0), (shapes.open_cylinder(), 2, 0), (shapes.torus(), 0, 1), (shapes.cone(), 1, 0)],
+)
+def test_boundary_loops_and_genus_of_known_shapes(shape, loops, genus):
+    found = info(RawMesh(*shape))
+    assert (found.boundary_loops, found.genus) == (loops, genus)
+
+
+def test_components_are_counted_and_their_handles_added():
+    (a, f), (b, g) = shapes.torus(), shapes.two_components()
+    found = info(RawMesh(np.concatenate([a, b]), np.concatenate([f, g + len(a)])))
+    assert (found.components, found.genus) == (3, 1)
+
+
+def test_equilateral_triangles_have_quality_one():
+    found = info(Mesh(*shapes.icosahedron()))
+    assert found.quality == pytest.approx((1, 1), abs=1e-12)
+    assert found.edge_length[0] == pytest.approx(found.edge_length[2], abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    "shape",
+    [shapes.fin_on_edge, shapes.bow_tie, shapes.with_nan, shapes.index_out_of_range, shapes.no_faces, shapes.moebius],
+)
+def test_info_lists_every_problem_and_never_raises(shape):
+    vertices, faces = shape()
+    found = info(RawMesh(vertices, faces))
+    assert [str(p) for p in found.problems] == [str(p) for p in find_problems(vertices, faces)]
+    assert str(found.problems[0]) in str(found)
+
+
+def test_info_of_a_good_mesh_says_so():
+    assert "no problems" in str(info(Mesh(*shapes.cube())))
+
+
+@pytest.mark.parametrize(
+    "shape, words",
+    [
+        (shapes.flipped_face, "turned 1 faces, the first being face 4"),
+        (shapes.duplicate_face, "removed 1 copies of faces, the first being face 20"),
+        (shapes.repeated_vertex, "removed 1 faces with a repeated vertex, the first being face 20"),
+        (shapes.isolated_first_last, "dropped 2 unreferenced vertices, the first being vertex 0"),
+    ],
+)
+def test_repair_gives_back_the_icosahedron_and_says_how(shape, words):
+    mesh, changes = repair(RawMesh(*shape()))
+    vertices, faces = shapes.icosahedron()
+    assert changes == [words]
+    assert mesh.load_report == (words,)
+    assert np.array_equal(mesh.vertices, vertices)
+    rolled = [np.roll(mesh.faces, k, axis=1) for k in range(3)]
+    assert all(any((r[f] == faces[f]).all() for r in rolled) for f in range(20))
+
+
+@given(st.lists(st.booleans(), min_size=20, max_size=20), st.booleans())
+@settings(max_examples=30, deadline=None)
+def test_repair_turns_the_minority(flips, is_open):
+    vertices, faces = shapes.grid(6, 3) if is_open else shapes.icosahedron()
+    flips = np.array(flips)
+    mixed = np.where(flips[:, None], faces[:, ::-1], faces)
+    mesh, _ = repair(RawMesh(vertices, mixed))
+    assert (mesh.faces != mixed).any(axis=1).sum() == min(flips.sum(), 20 - flips.sum())
+
+
+def test_texture_corners_turn_with_their_faces():
+    box = shapes.uv_box()
+    turned = {**box, "faces": box["faces"].copy(), "uv_faces": box["uv_faces"].copy()}
+    for key in ("faces", "uv_faces"):
+        turned[key][5] = turned[key][5, ::-1]
+    mesh, _ = repair(RawMesh(**turned))
+    assert np.array_equal(mesh.faces, box["faces"])
+    assert np.array_equal(mesh.uv_faces, box["uv_faces"])
+
+
+@pytest.mark.parametrize(
+    "shape, kind",
+    [
+        (shapes.fin_on_edge, errors.NonManifoldEdgeError),
+        (shapes.two_tetrahedra_sharing_edge, errors.NonManifoldEdgeError),
+        (shapes.bow_tie, errors.NonManifoldVertexError),
+        (shapes.moebius, errors.OrientationError),
+        (shapes.with_nan, errors.NonFiniteError),
+        (shapes.index_out_of_range, errors.IndexRangeError),
+        (shapes.no_faces, errors.EmptyMeshError),
+    ],
+)
+def test_what_only_a_guess_could_mend_is_raised(shape, kind):
+    with pytest.raises(kind):
+        repair(RawMesh(*shape()))
+
+
+@pytest.mark.parametrize(
+    "shape, components",
+    [(shapes.fin_on_edge, 2), (shapes.two_tetrahedra_sharing_edge, 2), (shapes.bow_tie, 2)],
+)
+def test_splitting_when_asked_gives_each_sheet_its_own_vertices(shape, components):
+    mesh, changes = repair(RawMesh(*shape()), split_edges=True, split_vertices=True)
+    assert info(mesh).components == components
+    assert len(changes) == 1
+
+
+def test_a_double_sided_square_becomes_one_sided():
+    mesh, _ = repair(RawMesh(*shapes.double_sided_square()))
+    assert len(mesh.faces) == 2
+
+
+@pytest.mark.parametrize("shape", [shapes.coincident_vertices, shapes.collinear_face])
+def test_zero_area_faces_collapse_and_topology_stays(shape):
+    raw = RawMesh(*shape())
+    mesh, changes = repair(raw)
+    before, after = info(raw), info(mesh)
+    assert before.zero_area_faces > 0
+    assert after.zero_area_faces == 0
+    assert (after.genus, after.boundary_loops) == (before.genus, before.boundary_loops)
+    assert any("collapsed" in line for line in changes)
+
+
+def test_a_flat_tetrahedron_is_kept_and_reported():
+    vertices, faces = shapes.tetrahedron()
+    mesh, changes = repair(RawMesh(vertices * [1, 0, 0], faces))
+    assert len(mesh.faces) == 4
+    assert changes == ["kept 4 zero-area faces, whose collapse would make the mesh non-manifold"]
+
+
+def test_repair_leaves_its_input_as_it_was():
+    vertices, faces = shapes.flipped_face()
+    raw = RawMesh(vertices.copy(), faces.copy())
+    repair(raw)
+    assert np.array_equal(raw.faces, faces)
+    assert raw.report == []
