@@ -81,7 +81,7 @@ def training() -> None:
             train(files[:1], files[1:], Path(folder) / f"run{batch}", config,
                   on_epoch=lambda _, marks=marks: marks.append(time.perf_counter()))
             seconds[batch] = min(np.diff(marks))
-            print(f"epoch, batch {batch}, {threads} thread(s): {seconds[batch]:.2f} s   (reference 9.3 s, one mesh a step)"
+            print(f"epoch, batch {batch}, {threads} thread(s): {seconds[batch]:.2f} s   (reference 9.3 s at batch 1)"
                   f"   ratio to batch 1: {seconds[batch] / seconds[1]:.2f}")
 
 

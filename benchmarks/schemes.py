@@ -53,7 +53,10 @@ def compare(title: str, vertices: np.ndarray, faces: np.ndarray, repeats: int) -
             "igl": lambda: igl.upsample(vertices, faces, LEVELS),
             "VTK": lambda: mesh.subdivide(LEVELS, "linear"),
         },
-        "loop": {"igl": lambda: igl.loop(vertices, faces, LEVELS), "VTK": lambda: mesh.subdivide(LEVELS, "loop")},
+        "loop": {
+            "igl": lambda: igl.loop(vertices, faces, LEVELS),
+            "VTK": lambda: mesh.subdivide(LEVELS, "loop"),
+        },
         "butterfly": {"VTK": lambda: mesh.subdivide(LEVELS, "butterfly")},
     }
     print(f"{title}: {len(faces)} -> {len(faces) * 4**LEVELS} faces, milliseconds (peer's time / ours)")
@@ -65,7 +68,8 @@ def compare(title: str, vertices: np.ndarray, faces: np.ndarray, repeats: int) -
         operator = build()
         built = shortest(build, repeats)
         applied = shortest(lambda operator=operator: operator.apply(vertices), repeats)
-        line = f"  {scheme:9}  build {1e3 * built:6.1f}  apply {1e3 * applied:5.1f}  build/apply {built / applied:5.1f}x"
+        line = f"  {scheme:9}  build {1e3 * built:6.1f}  apply {1e3 * applied:5.1f}"
+        line += f"  build/apply {built / applied:5.1f}x"
         for name, peer in others.items():
             seconds = shortest(peer, repeats)
             line += f"   {name} {1e3 * seconds:6.1f} ({seconds / (built + applied):.2f}x)"

@@ -2,11 +2,11 @@
 
 import numpy as np
 import pytest
-import shapes
-from test_network import make_pair
 
+import shapes
 from neusub.errors import PairFileError
 from neusub.generation import Pair, import_pairs, load_pairs, read_header, save_pairs, shortened
+from test_network import make_pair
 
 
 @pytest.fixture

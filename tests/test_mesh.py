@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import shapes
 
+import shapes
 from neusub import errors
 from neusub.mesh import Material, Mesh, find_problems
 
@@ -27,12 +27,27 @@ GOOD = {
     "far away": (shapes.cube()[0] + 1e4, shapes.cube()[1]),
 }
 BAD = {
-    "fin on an edge": (shapes.fin_on_edge(), errors.NonManifoldEdgeError, r"edge \(0, 1\) belongs to 3 faces: 1, 2, 20\."),
+    "fin on an edge": (
+        shapes.fin_on_edge(),
+        errors.NonManifoldEdgeError,
+        r"edge \(0, 1\) belongs to 3 faces: 1, 2, 20\.",
+    ),
     "two tetrahedra sharing an edge": (
-        shapes.two_tetrahedra_sharing_edge(), errors.NonManifoldEdgeError, r"edge \(0, 1\) belongs to 4 faces"),
-    "bow-tie": (shapes.bow_tie(), errors.NonManifoldVertexError, "vertex 0 joins 2 separate fans of faces, with faces 0, 1"),
+        shapes.two_tetrahedra_sharing_edge(),
+        errors.NonManifoldEdgeError,
+        r"edge \(0, 1\) belongs to 4 faces",
+    ),
+    "bow-tie": (
+        shapes.bow_tie(),
+        errors.NonManifoldVertexError,
+        "vertex 0 joins 2 separate fans of faces, with faces 0, 1",
+    ),
     "duplicate face": (shapes.duplicate_face(), errors.DuplicateFaceError, "faces 3 and 20 "),
-    "double-sided square": (shapes.double_sided_square(), errors.DuplicateFaceError, r"faces 0 and 2 .*and 1 more face\)"),
+    "double-sided square": (
+        shapes.double_sided_square(),
+        errors.DuplicateFaceError,
+        r"faces 0 and 2 .*and 1 more face\)",
+    ),
     "NaN": (shapes.with_nan(), errors.NonFiniteError, "vertex 7 is"),
     "Inf": (shapes.with_inf(), errors.NonFiniteError, "vertex 7 is"),
     "flipped face": (shapes.flipped_face(), errors.OrientationError, r"faces \d+ and \d+ .*and 2 more such edges"),
@@ -41,9 +56,12 @@ BAD = {
     "negative index": (shapes.negative_index(), errors.IndexRangeError, "face 5 is"),
     "repeated vertex": (shapes.repeated_vertex(), errors.RepeatedVertexError, r"face 20 is \(2, 2, 5\)"),
     "isolated first and last vertex": (
-        shapes.isolated_first_last(), errors.UnreferencedVertexError, r"vertex 0 .*and 1 more vertex\)"),
+        shapes.isolated_first_last(),
+        errors.UnreferencedVertexError,
+        r"vertex 0 .*and 1 more vertex\)",
+    ),
     "no faces": (shapes.no_faces(), errors.EmptyMeshError, "12 vertices and no faces"),
-}  # fmt: skip
+}
 
 
 @pytest.mark.parametrize("name", GOOD)

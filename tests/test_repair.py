@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-import shapes
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+import shapes
 from neusub import errors
 from neusub.mesh import Mesh, find_problems
 from neusub.raw import RawMesh

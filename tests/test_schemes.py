@@ -198,8 +198,7 @@ LOOP_BETA = {3: 3 / 16, 4: 31 / 256, 5: 0.0840932, 6: 1 / 16, 7: 0.0490250}
 
 @pytest.mark.parametrize("n", LOOP_BETA)
 def test_loop_vertex_stencil(n):
-    vertices, faces = fan(n)
-    matrix = schemes.subdivision_matrix(build_topology(faces, n + 1), "loop").toarray()
+    matrix = schemes.subdivision_matrix(build_topology(fan(n)[1], n + 1), "loop").toarray()
     beta = LOOP_BETA[n]
     np.testing.assert_allclose(matrix[0], [1 - n * beta] + n * [beta], atol=1e-6)
 
@@ -328,7 +327,7 @@ def test_a_dart_is_smooth_and_a_corner_stays():
     dart = [[23, 24]]  # one crease: its ends are darts
     plain = schemes.subdivision_matrix(topology, "loop").toarray()
     with_dart = schemes.subdivision_matrix(topology, "loop", creases=np.array(dart)).toarray()
-    np.testing.assert_array_equal(plain[24], with_dart[24])
+    np.testing.assert_array_equal(plain, with_dart)
     assert edge_row(vertices, faces, "butterfly", 23, 24, creases=np.array(dart)) == {23: 1 / 2, 24: 1 / 2}
     three = np.array([[24, 23], [24, 25], [24, 31]])
     corner = schemes.subdivision_matrix(topology, "loop", creases=three).toarray()

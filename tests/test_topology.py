@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import shapes
 
+import shapes
 from neusub.topology import build_topology, connected_components, refine_faces, topology_levels
 
 CLOSED = {"tetrahedron": shapes.tetrahedron(), "icosahedron": shapes.icosahedron(), "torus": shapes.torus(7, 5),

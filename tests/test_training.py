@@ -4,11 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import shapes
 import torch
 from safetensors.torch import load_file
-from test_network import make_pair
 
+import shapes
 from neusub.configuration import TrainingConfig
 from neusub.errors import TrainingError
 from neusub.generation import Pair, save_pairs
@@ -16,6 +15,7 @@ from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
 from neusub.training import train
+from test_network import make_pair
 
 CONFIG = TrainingConfig(epochs=4, checkpoint_every=1, device="cpu")
 

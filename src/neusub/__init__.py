@@ -31,7 +31,7 @@ _WHERE = {
     "TrainingConfig": "configuration",
 }
 
-__all__ = [*_WHERE, "__version__"]  # noqa: PLE0604 (built from the table)
+__all__ = [*_WHERE, "__version__"]
 
 if TYPE_CHECKING:
     from neusub.configuration import TrainingConfig as TrainingConfig

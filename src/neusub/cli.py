@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -228,8 +229,8 @@ def train_command(
         threads: CPU threads.
         resume: Go on with the run in OUT.
     """
-    given = dict(epochs=epochs, batch=batch, learning_rate=learning_rate, levels=levels, input=input, seed=seed,
-                 device=device, threads=threads)
+    given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "levels": levels, "input": input,
+             "seed": seed, "device": device, "threads": threads}
     config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
     training, held_out = list(pairs), list(validation)
     for folder in [path for path in pairs if path.is_dir()]:
@@ -267,7 +268,8 @@ def train_with_progress(training: list, held_out: list, out: Path, config: Train
 
     from neusub.training import train
 
-    columns = (TextColumn("epoch"), MofNCompleteColumn(), BarColumn(), TimeRemainingColumn(), TextColumn("{task.description}"))
+    columns = (TextColumn("epoch"), MofNCompleteColumn(), BarColumn(), TimeRemainingColumn(),
+               TextColumn("{task.description}"))
     with Progress(*columns, console=Console(stderr=True)) as progress:
         task = progress.add_task("", total=config.epochs)
 
@@ -286,7 +288,7 @@ def check_output(inputs: tuple[Path, ...], output: Path) -> None:
     """With several inputs the output is a folder, which is made; two inputs never share a name there."""
     from neusub.errors import MeshFileError
 
-    if len(inputs) == 1:
+    if len(inputs) <= 1:
         return
     if output.suffix.lower() in MESH_SUFFIXES or output.is_file():
         raise MeshFileError(f"{output}: with {len(inputs)} inputs the output is a folder. Give one with -o.")
@@ -334,6 +336,7 @@ def main() -> None:
     """Entry point of the command `neusub`."""
     from neusub.errors import NeusubError
 
+    warnings.showwarning = lambda message, *_: say(f"neusub: {message}", error=True)
     try:
         status = app.cli(prog="neusub", description="Data-driven subdivision of triangle meshes.")
     except NeusubError as error:

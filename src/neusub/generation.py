@@ -29,7 +29,7 @@ from safetensors.numpy import save_file
 from neusub import __version__
 from neusub.errors import PairFileError
 from neusub.files import replacing
-from neusub.network import LevelFlaps, level_flaps
+from neusub.flaps import LevelFlaps, level_flaps
 from neusub.topology import Topology, topology_levels
 
 __all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "save_pairs"]

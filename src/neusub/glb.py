@@ -27,7 +27,9 @@ def parse_glb(data: bytes) -> RawMesh:
     for edge in content["graph"]:
         graph.update(**edge)
     parts: list[tuple[dict[str, Any], ndarray]] = []
-    for node in graph.nodes_geometry:
+    place = {name: k for k, name in enumerate(content["geometry"])}
+    # trimesh keeps nodes in a set: go through them in the file's order of meshes, then by name
+    for node in sorted(graph.nodes_geometry, key=lambda node: (place.get(graph[node][1], -1), str(node))):
         matrix, name = graph[node]
         part = content["geometry"].get(name, {})
         if len(part.get("faces", ())):
@@ -66,6 +68,8 @@ def _joined(parts: list[tuple[dict[str, Any], ndarray]]) -> RawMesh:
         raw.uv_faces = raw.faces.copy()
     if any(c is not None for c in colors):
         raw.colors = np.concatenate([np.ones((len(v), 4)) if c is None else c for c, v in zip(colors, vertices)])
+        if (raw.colors[:, 3] == 1).all():  # opaque: the writer adds the fourth column by itself
+            raw.colors = raw.colors[:, :3].copy()
     if materials:
         raw.materials = tuple(m for m, _ in materials)
         raw.face_data["material"] = np.concatenate(material)
@@ -122,6 +126,7 @@ def write_glb(mesh: Mesh, name: str) -> dict[str, bytes]:
     Face data other than the material do not fit into a GLB.
     """
     import trimesh
+    from trimesh.visual import ColorVisuals, TextureVisuals
 
     index, faces, uv = split_at_seams(mesh)
     material = mesh.face_data.get("material")
@@ -132,20 +137,24 @@ def write_glb(mesh: Mesh, name: str) -> dict[str, bytes]:
         part = faces[material == k]
         used, corners = np.unique(part, return_inverse=True)
         piece = trimesh.Trimesh(mesh.vertices[index[used]], corners.reshape(-1, 3), process=False)
-        colors = (
-            None if mesh.colors is None else np.rint(np.clip(mesh.colors[index[used]], 0, 1) * 255).astype(np.uint8)
-        )
+        colors = None if mesh.colors is None else _bytes_rgba(mesh.colors[index[used]])
         if k >= 0 or uv is not None:
             pbr = _pbr(mesh.materials[k] if k >= 0 else Material())
-            piece.visual = trimesh.visual.TextureVisuals(uv=None if uv is None else uv[used], material=pbr)
+            piece.visual = TextureVisuals(uv=None if uv is None else uv[used], material=pbr)
             if colors is not None:
                 piece.visual.vertex_attributes["color"] = colors
         elif colors is not None:
-            piece.visual = trimesh.visual.ColorVisuals(piece, vertex_colors=colors)
+            piece.visual = ColorVisuals(piece, vertex_colors=colors)
         scene.add_geometry(piece, geom_name=f"{name}_{max(int(k), 0)}")
     content = scene.export(file_type="glb")
     assert isinstance(content, bytes)
     return {f"{name}.glb": content}
+
+
+def _bytes_rgba(colors: ndarray) -> ndarray:
+    rgba = np.full((len(colors), 4), 255, dtype=np.uint8)
+    rgba[:, : colors.shape[1]] = np.rint(np.clip(colors, 0, 1) * 255)
+    return rgba
 
 
 def _pbr(material: Material) -> Any:

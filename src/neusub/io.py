@@ -41,9 +41,9 @@ def read(path: str | os.PathLike[str]) -> RawMesh:
     IndexRangeError for an OBJ index that points nowhere, with its line.
     """
     path = Path(path)
-    kind = _known_kind(path)
     if path.is_dir():
         raise MeshFileError(f"{path} is a folder. Give a mesh file.")
+    kind = _known_kind(path)
     if not path.exists():
         raise MeshFileError(f"{path} does not exist. Check the name.")
     try:

@@ -120,7 +120,7 @@ def _corners(rows: list[bytes], at: ndarray, path: Path) -> tuple[ndarray, ndarr
         padded = b"/".join([token + b"/0" * (2 - token.count(b"/")) for token in tokens])
         table = np.array(padded.replace(b"//", b"/0/").split(b"/"), dtype="S")
     try:
-        numbers = table.astype(np.int64).reshape(len(tokens), -1)
+        numbers = table.astype(np.int64).reshape(len(tokens), 1 if slashes <= {0} else 3)
     except ValueError:
         owner = np.repeat(at, counts)
         i = next((i for i, t in enumerate(tokens) if not re.fullmatch(rb"-?\d+(/-?\d*){0,2}", t)), 0)

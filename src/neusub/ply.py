@@ -110,7 +110,7 @@ def _ascii_element(values: ndarray, at: int, n: int, properties: list[Property])
     def scalar(k: int, _: str) -> tuple[Any, int]:
         return values[k], k + 1
 
-    def several(k: int, m: int, _: str) -> tuple[ndarray, int]:
+    def several(k: int, m: int, _: str) -> tuple[ndarray, " int"]:
         return values[k : k + m], k + m
 
     return _walk(n, properties, at, scalar, several)
@@ -129,12 +129,12 @@ def _binary_element(body: bytes, at: int, n: int, properties: list[Property], or
     row = np.dtype(fields)
     if at + n * row.itemsize <= len(body):
         table = np.frombuffer(body, row, n, at) if n else np.zeros(0, [(p[0], p[1]) for p in properties])
-        same = all((table[p[0] + "#"] == table[p[0]].shape[1]).all() for p in properties if p[2] and n)
+        same = all((table[p[0] + "#"] == np.shape(table[p[0]])[-1]).all() for p in properties if p[2] and n)
         if same:
             columns: Columns = {
                 p[0]: np.ascontiguousarray(table[p[0]])
                 if p[2] is None
-                else (np.full(n, table[p[0]].shape[1] if n else 0), table[p[0]].reshape(-1))
+                else (np.full(n, np.shape(table[p[0]])[-1] if n else 0), table[p[0]].reshape(-1))
                 for p in properties
             }
             return columns, at + n * row.itemsize
@@ -142,7 +142,7 @@ def _binary_element(body: bytes, at: int, n: int, properties: list[Property], or
     def scalar(k: int, kind: str) -> tuple[Any, int]:
         return np.frombuffer(body, order + kind, 1, k)[0], k + np.dtype(kind).itemsize
 
-    def several(k: int, m: int, kind: str) -> tuple[ndarray, int]:
+    def several(k: int, m: int, kind: str) -> tuple[ndarray, " int"]:
         return (np.frombuffer(body, order + kind, m, k) if m else np.zeros(0, kind)), k + m * np.dtype(kind).itemsize
 
     return _walk(n, properties, at, scalar, several)

@@ -6,7 +6,7 @@ midpoint of edge k, in the ordering of `topology`, so levels compose by multipli
 Sharp edges are the boundary edges and the creases; a sharp edge follows a curve rule that uses only the two vertices
 at its ends and the next ones along the curve.  The number of sharp edges at a vertex decides its rule:
 
-    0, 1  smooth (1 is a dart, where a crease fades out): rules of an interior vertex
+    0, 1  smooth (1 is a dart, where a crease fades out): rules of an interior vertex; so is, in Loop, an edge to a dart
     2     on a curve: rules of a boundary vertex, seen from each side by itself
     3 ..  corner: stays in its place
 
@@ -134,7 +134,7 @@ def subdivide_classic(
 # ---- creases ----------------------------------------------------------------------------------------------------
 
 
-def crease_mask(topology: Topology, creases: ndarray) -> Bool[ndarray, "nE"]:
+def crease_mask(topology: Topology, creases: ndarray) -> Bool[ndarray, " nE"]:
     """Creases as a mask over edges, from a mask, from edge indices (n,) or from vertex pairs (n, 2), in any order."""
     creases = np.asarray(creases)
     n_edges, n = len(topology.edges), topology.n_vertices
@@ -158,7 +158,7 @@ def crease_mask(topology: Topology, creases: ndarray) -> Bool[ndarray, "nE"]:
 
 def crease_edges(
     topology: Topology, vertices: Float64[ndarray, "nV 3"], angle_degrees: float
-) -> Bool[ndarray, "nE"]:
+) -> Bool[ndarray, " nE"]:
     """Interior edges where the normals of the two faces differ by more than the angle; 0 degrees is flat.
 
     A face without area has no normal and makes no crease.
@@ -172,8 +172,8 @@ def crease_edges(
 
 
 def refine_creases(
-    topology: Topology, mask: Bool[ndarray, "nE"], refined: Topology | None = None
-) -> Bool[ndarray, "nE_fine"]:
+    topology: Topology, mask: Bool[ndarray, " nE"], refined: Topology | None = None
+) -> Bool[ndarray, " nE_fine"]:
     """Creases of the next level: both halves of each crease.  `refined`: its topology, where there already is one."""
     n = topology.n_vertices
     if refined is None:
@@ -219,7 +219,7 @@ def _stack(top: csr_array, bottom: csr_array, n_columns: int) -> csr_array:
 # ---- Loop -------------------------------------------------------------------------------------------------------
 
 
-def _loop_beta(valence: Int64[ndarray, "n"], weights: str) -> Float64[ndarray, "n"]:
+def _loop_beta(valence: Int64[ndarray, " n"], weights: str) -> Float64[ndarray, " n"]:
     """Weight of each neighbour of a smooth vertex."""
     n = np.maximum(valence, 1)
     if weights == "loop":
@@ -229,12 +229,12 @@ def _loop_beta(valence: Int64[ndarray, "n"], weights: str) -> Float64[ndarray, "
     raise ValueError(f"unknown weights {weights!r}: take 'loop' or 'warren'")
 
 
-def _sharp_count(topology: Topology, sharp: Bool[ndarray, "nE"]) -> Int64[ndarray, "nV"]:
+def _sharp_count(topology: Topology, sharp: Bool[ndarray, " nE"]) -> Int64[ndarray, " nV"]:
     return np.bincount(topology.edges[sharp].reshape(-1), minlength=topology.n_vertices)
 
 
 def _vertex_rows(
-    topology: Topology, sharp: Bool[ndarray, "nE"], smooth: Float64[ndarray, "nV"], curve: float
+    topology: Topology, sharp: Bool[ndarray, " nE"], smooth: Float64[ndarray, " nV"], curve: float
 ) -> csr_array:
     """Rows of old vertices: `smooth` for each neighbour of a smooth vertex, `curve` for the two along a curve."""
     n = topology.n_vertices
@@ -255,17 +255,18 @@ def _vertex_rows(
     return lower + diagonal + upper  # the sum drops zeros, so no entry reaches across an edge that has no part in it
 
 
-def _loop_vertices(topology: Topology, sharp: Bool[ndarray, "nE"], weights: str) -> csr_array:
+def _loop_vertices(topology: Topology, sharp: Bool[ndarray, " nE"], weights: str) -> csr_array:
     return _vertex_rows(topology, sharp, _loop_beta(topology.valence, weights), 1 / 8)
 
 
-def _loop_edges(topology: Topology, sharp: Bool[ndarray, "nE"]) -> Iterable[Block]:
-    interior = np.flatnonzero(~sharp)
+def _loop_edges(topology: Topology, sharp: Bool[ndarray, " nE"]) -> Iterable[Block]:
+    # An edge that ends in a dart is smooth (Hoppe et al. 1994), or the dart would not be.
+    curve = sharp & (_sharp_count(topology, sharp)[topology.edges] != 1).all(axis=1)
+    interior = np.flatnonzero(~curve)
     columns = np.concatenate([topology.edges, topology.edge_opposite], axis=1)
     yield interior, columns[interior] if len(interior) < len(sharp) else columns, np.array([3, 3, 1, 1]) / 8
     if len(interior) < len(sharp):
-        curve = np.flatnonzero(sharp)
-        yield curve, topology.edges[curve], np.array([1, 1]) / 2
+        yield np.flatnonzero(curve), topology.edges[curve], np.array([1, 1]) / 2
 
 
 def loop_limit(
@@ -284,10 +285,25 @@ def loop_limit(
     sharp = topology.is_boundary_edge
     if creases is not None:
         sharp = sharp | crease_mask(topology, creases)
+    count = _sharp_count(topology, sharp)
+    if (count == 1).any() and (count[topology.edges[sharp]] == 2).any():
+        # The edge from a curve to a dart departs from the curve's rule, for one level: the masks hold after it.
+        fine = subdivision_matrix(topology, "loop", weights=weights, creases=creases) @ vertices
+        refined = build_topology(refine_faces(topology), len(fine))
+        creases = refine_creases(topology, sharp & ~topology.is_boundary_edge, refined)
+        limit = _limit(refined, fine, refined.is_boundary_edge | creases, weights)
+        return limit[0][: len(vertices)], limit[1][: len(vertices)]
+    return _limit(topology, vertices, sharp, weights)
+
+
+def _limit(
+    topology: Topology, vertices: Float64[ndarray, "nV 3"], sharp: Bool[ndarray, " nE"], weights: str
+) -> tuple[Float64[ndarray, "nV 3"], Float64[ndarray, "nV 3"]]:
+    """`loop_limit` where no edge joins a dart to a vertex on a curve."""
+    count = _sharp_count(topology, sharp)
     omega = 1 / (3 / (8 * _loop_beta(topology.valence, weights)) + topology.valence)
     positions = _vertex_rows(topology, sharp, omega, 1 / 6) @ vertices
 
-    count = _sharp_count(topology, sharp)
     around = _Around(topology, sharp)
     outgoing = np.full(topology.n_vertices, -1, dtype=np.int64)
     outgoing[around.tail] = np.arange(len(around.tail))
@@ -337,13 +353,13 @@ def _unit(vectors: ndarray) -> ndarray:
 class _Around:
     """Half-edges out of a vertex, counter-clockwise; walks loop over the position, for many vertices at once."""
 
-    def __init__(self, topology: Topology, sharp: Bool[ndarray, "nE"]):
+    def __init__(self, topology: Topology, sharp: Bool[ndarray, " nE"]):
         self.tail = topology.faces.reshape(-1)
         self.head = topology.faces[:, [1, 2, 0]].reshape(-1)
         self.twins = topology.twins
         self.sharp = sharp[topology.face_edges.reshape(-1)]
 
-    def ring(self, h: Int64[ndarray, "n"], valence: int) -> Int64[ndarray, "n valence"]:
+    def ring(self, h: Int64[ndarray, " n"], valence: int) -> Int64[ndarray, "n valence"]:
         """All neighbours of an interior vertex, from the head of h on."""
         columns = []
         for _ in range(valence):
@@ -351,7 +367,7 @@ class _Around:
             h = self.twins[_previous(h)]
         return np.stack(columns, axis=1)
 
-    def fan(self, start: Int64[ndarray, "n"], k: int) -> Int64[ndarray, "n k+1"]:
+    def fan(self, start: Int64[ndarray, " n"], k: int) -> Int64[ndarray, "n k+1"]:
         """The k + 1 neighbours on one side of a curve; `start` runs along the curve."""
         last = _previous(start)
         columns = [self.head[start], self.tail[last]]
@@ -360,7 +376,7 @@ class _Around:
             columns.append(self.tail[last])
         return np.stack(columns, axis=1)
 
-    def fan_start(self, h: Int64[ndarray, "n"]) -> tuple[Int64[ndarray, "n"], Int64[ndarray, "n"]]:
+    def fan_start(self, h: Int64[ndarray, " n"]) -> tuple[Int64[ndarray, " n"], Int64[ndarray, " n"]]:
         """The sharp half-edge that begins the side of the curve where h is, and the position of h in that fan."""
         start, position = h.copy(), np.zeros(len(h), dtype=np.int64)
         active = np.flatnonzero(~self.sharp[start])
@@ -370,7 +386,7 @@ class _Around:
             active = active[~self.sharp[start[active]]]
         return start, position
 
-    def fan_size(self, start: Int64[ndarray, "n"]) -> Int64[ndarray, "n"]:
+    def fan_size(self, start: Int64[ndarray, " n"]) -> Int64[ndarray, " n"]:
         """Number of faces from `start` to the next sharp edge."""
         last, size = _previous(start), np.ones(len(start), dtype=np.int64)
         active = np.flatnonzero(~self.sharp[last])
@@ -381,15 +397,15 @@ class _Around:
         return size
 
 
-def _next(h: Int64[ndarray, "n"]) -> Int64[ndarray, "n"]:
+def _next(h: Int64[ndarray, " n"]) -> Int64[ndarray, " n"]:
     return np.where(h % 3 == 2, h - 2, h + 1)
 
 
-def _previous(h: Int64[ndarray, "n"]) -> Int64[ndarray, "n"]:
+def _previous(h: Int64[ndarray, " n"]) -> Int64[ndarray, " n"]:
     return np.where(h % 3 == 0, h + 2, h - 1)
 
 
-def _groups(key: Int64[ndarray, "n"], values: Int64[ndarray, "n"]) -> Iterable[tuple[int, Int64[ndarray, "m"]]]:
+def _groups(key: Int64[ndarray, " n"], values: Int64[ndarray, " n"]) -> Iterable[tuple[int, Int64[ndarray, " m"]]]:
     """Values by key, in one sort."""
     order = np.argsort(key, kind="stable")
     keys, first = np.unique(key[order], return_index=True)
@@ -405,7 +421,7 @@ def _groups(key: Int64[ndarray, "n"], values: Int64[ndarray, "n"]) -> Iterable[t
 #       6 - b - 5
 
 
-def _butterfly_edges(topology: Topology, sharp: Bool[ndarray, "nE"]) -> Iterable[Block]:
+def _butterfly_edges(topology: Topology, sharp: Bool[ndarray, " nE"]) -> Iterable[Block]:
     count = _sharp_count(topology, sharp)
     kind = np.minimum(np.maximum(count, 1), 3)[topology.edges]  # 1 smooth, 2 curve, 3 corner
     kind[sharp] = 0
@@ -433,7 +449,7 @@ def _butterfly_edges(topology: Topology, sharp: Bool[ndarray, "nE"]) -> Iterable
         yield rows[part == 3], topology.edges[rows[part == 3]], share[part == 3, None] * np.array([0.5, 0.5])
 
 
-def _four_point(topology: Topology, sharp: Bool[ndarray, "nE"], count: Int64[ndarray, "nV"]) -> Iterable[Block]:
+def _four_point(topology: Topology, sharp: Bool[ndarray, " nE"], count: Int64[ndarray, " nV"]) -> Iterable[Block]:
     """Sharp edges: (-1, 9, 9, -1)/16 along the curve, (3, 6, -1)/8 where it ends at the first, 1/2 if at both."""
     rows = np.flatnonzero(sharp)
     edges = topology.edges[rows]
@@ -451,7 +467,7 @@ def _four_point(topology: Topology, sharp: Bool[ndarray, "nE"], count: Int64[nda
         yield rows[picked], columns[picked][:, use], np.array(weights)
 
 
-def _eight_point(topology: Topology, rows: Int64[ndarray, "n"]) -> Block:
+def _eight_point(topology: Topology, rows: Int64[ndarray, " n"]) -> Block:
     columns = np.empty((len(rows), 8), dtype=np.int32)
     columns[:, :2] = topology.edges[rows]
     columns[:, 2:4] = topology.edge_opposite[rows]

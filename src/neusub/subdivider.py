@@ -21,8 +21,9 @@ from safetensors.torch import save_file
 from neusub import __version__
 from neusub.errors import ModelError
 from neusub.files import replacing
+from neusub.flaps import level_flaps
 from neusub.mesh import Mesh
-from neusub.network import NeuralSubdivision, level_flaps
+from neusub.network import NeuralSubdivision
 from neusub.topology import Topology, connected_components, topology_levels
 
 __all__ = ["Subdivider", "model_names", "subdivide"]
@@ -133,7 +134,7 @@ class Subdivider:
         return component, centre, factor
 
 
-def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, "nV"], count: int) -> Float[ndarray, "k"]:
+def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, " nV"], count: int) -> Float[ndarray, " k"]:
     """Mean edge length of each component; 1 where all its vertices coincide."""
     a, b = topology.edges.T
     lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)

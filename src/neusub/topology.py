@@ -48,7 +48,7 @@ class Topology:
         return np.where(self.edge_halfedges >= 0, corner_before[self.edge_halfedges], -1)
 
     @cached_property
-    def twins(self) -> Int64[ndarray, "nH"]:
+    def twins(self) -> Int64[ndarray, " nH"]:
         """The half-edge that runs the other way along the same edge; -1 on the boundary."""
         twins = np.full(self.faces.size, -1, dtype=np.int64)
         there, back = self.edge_halfedges.T
@@ -67,17 +67,17 @@ class Topology:
         return flaps.reshape(-1, 4)
 
     @cached_property
-    def is_boundary_edge(self) -> Bool[ndarray, "nE"]:
-        return (self.edge_halfedges < 0).any(axis=1)
+    def is_boundary_edge(self) -> Bool[ndarray, " nE"]:
+        return np.asarray((self.edge_halfedges < 0).any(axis=1))
 
     @cached_property
-    def is_boundary_vertex(self) -> Bool[ndarray, "nV"]:
+    def is_boundary_vertex(self) -> Bool[ndarray, " nV"]:
         mask = np.zeros(self.n_vertices, dtype=bool)
         mask[self.edges[self.is_boundary_edge]] = True
         return mask
 
     @cached_property
-    def valence(self) -> Int64[ndarray, "nV"]:
+    def valence(self) -> Int64[ndarray, " nV"]:
         """Number of edges at each vertex."""
         return np.bincount(self.edges.reshape(-1), minlength=self.n_vertices)
 
@@ -134,7 +134,7 @@ def topology_levels(
 
 def connected_components(
     faces: Int64[ndarray, "nF 3"], n_vertices: int
-) -> tuple[int, Int64[ndarray, "nV"]]:
+) -> tuple[int, Int64[ndarray, " nV"]]:
     """Number of components, and the component of each vertex (numbered by their first vertex)."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components as components

@@ -149,8 +149,8 @@ def best_model(best: dict[str, Tensor], pairs: list[Pair], config: TrainingConfi
 
 def mean_coarse_edge(pairs: list[Pair]) -> float:
     """Mean edge length of the coarse meshes, in the unit of the targets: the longest side of a source's box."""
-    lengths = [np.linalg.norm(np.diff(pair.targets[pair.topologies[0].edges], axis=1), axis=-1).mean() for pair in pairs]
-    return float(np.mean(lengths))
+    edges = [np.diff(pair.targets[pair.topologies[0].edges], axis=1) for pair in pairs]
+    return float(np.mean([np.linalg.norm(vectors, axis=-1).mean() for vectors in edges]))
 
 
 def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
@@ -268,7 +268,7 @@ class _Log:
             with self.path.open(newline="") as file:
                 rows = [row for row in csv.DictReader(file) if int(row["epoch"]) <= self.epoch]
         self.file = self.path.open("w", newline="")
-        self.writer = csv.DictWriter(self.file, self.columns)
+        self.writer: csv.DictWriter = csv.DictWriter(self.file, self.columns)
         self.writer.writeheader()
         self.writer.writerows(rows)
         self.board = SummaryWriter(str(self.folder), purge_step=self.epoch + 1)

@@ -1,0 +1,139 @@
+"""Half-flaps on the device, grouped by what pools them, and the three sums over them that the network is made of.
+
+A gather or a pooling is a sum over bags of rows; its gradient is the same sum over the transposed bags, kept with the
+groups.  On a CPU this is several times faster than indexing, whose gradient adds row by row.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+import torch
+from jaxtyping import Bool, Float, Int
+from torch import Tensor
+from torch.nn.functional import embedding_bag
+
+from neusub.topology import Topology
+
+__all__ = ["FlapGroups", "LevelFlaps", "gather_corners", "level_flaps", "pool", "sum_slots"]
+
+CHUNK = 1 << 15  # half-flaps at a time without gradients: their activations stay in the cache
+
+
+
+@dataclass(frozen=True, eq=False)
+class FlapGroups:
+    """Half-flaps sorted by the vertex or edge that pools them: group i owns rows offsets[i] .. offsets[i + 1]."""
+
+    corners: Int[Tensor, "n 4"]  # v0 v1 v2 v3; at a boundary the missing one repeats the other
+    missing: Bool[Tensor, "2 n"] | None  # whether v2, v3 is missing; None for a closed mesh
+    offsets: Int[Tensor, " m+1"]
+
+    @cached_property
+    def slots(self) -> Int[Tensor, "n 4"]:
+        """Row of (vertex, slot) in a table with four rows a vertex."""
+        return self.corners * 4 + torch.arange(4, device=self.corners.device)
+
+    def chunks(self) -> Iterator[FlapGroups]:
+        """The groups in runs of about CHUNK half-flaps."""
+        last = len(self.offsets) - 1
+        a = 0
+        while a < last:
+            start = int(self.offsets[a])
+            b = int(torch.searchsorted(self.offsets, start + CHUNK, right=True)) - 1
+            b = min(max(b, a + 1), last)
+            rows = slice(start, int(self.offsets[b]))
+            missing = None if self.missing is None else self.missing[:, rows]
+            yield FlapGroups(self.corners[rows], missing, self.offsets[a : b + 1] - start)
+            a = b
+
+    # Transposes, for gradients only: which rows read a given vertex, and which group reads a given row.
+
+    @cached_property
+    def readers(self) -> tuple[Tensor, " Tensor"]:
+        """Rows of `slots.reshape(-1)` in the order of the table's rows that they read, and where each begins."""
+        flat = self.slots.reshape(-1)
+        order = torch.argsort(flat)
+        bounds = torch.arange(4 * int(self.corners.max()) + 5, device=flat.device)
+        return order, torch.searchsorted(flat[order], bounds)
+
+    @cached_property
+    def owner(self) -> Int[Tensor, " n"]:
+        return torch.repeat_interleave(torch.arange(len(self.offsets) - 1, device=self.offsets.device),
+                                       self.offsets.diff())
+
+
+@dataclass(frozen=True, eq=False)
+class LevelFlaps:
+    """One level's half-flaps: as its vertices pool them (I, V) and as its edges do (E)."""
+
+    by_vertex: FlapGroups
+    by_edge: FlapGroups
+    edges: Int[Tensor, "nE 2"]
+
+
+def level_flaps(topology: Topology, device: torch.device | str = "cpu") -> LevelFlaps:
+    """Put a level's half-flaps on a device, in both orders."""
+    flaps = topology.flaps
+    absent = flaps[:, 2:] < 0
+    corners = np.where(flaps < 0, flaps[:, [0, 1, 3, 2]], flaps)
+    by_origin = np.argsort(flaps[:, 0], kind="stable")
+    starts = np.concatenate([[0], np.cumsum(topology.valence)])
+
+    def groups(rows, offsets) -> FlapGroups:
+        missing = torch.as_tensor(np.ascontiguousarray(absent[rows].T), device=device) if absent.any() else None
+        return FlapGroups(torch.as_tensor(corners[rows], device=device), missing,
+                          torch.as_tensor(offsets, device=device))
+
+    return LevelFlaps(groups(by_origin, starts), groups(slice(None), np.arange(0, len(flaps) + 1, 2)),
+                      torch.as_tensor(topology.edges, device=device))
+
+
+class _SumRows(torch.autograd.Function):
+    """out[i] = sum of values[index[j]] over bag i; the gradient is the same sum over the transposed bags."""
+
+    @staticmethod
+    def forward(ctx, values, index, offsets, back_index, back_offsets):
+        ctx.save_for_backward(back_index, back_offsets)
+        ctx.rows = len(values)
+        return embedding_bag(index, values, offsets, mode="sum", include_last_offset=True)
+
+    @staticmethod
+    def backward(ctx, grad):  # type: ignore[override]
+        index, offsets = ctx.saved_tensors
+        grad = embedding_bag(index, grad.contiguous(), offsets, mode="sum", include_last_offset=True)
+        if len(grad) < ctx.rows:  # vertices beyond the last one that any half-flap reads
+            grad = torch.cat([grad, grad.new_zeros(ctx.rows - len(grad), grad.shape[1])])
+        return grad, None, None, None, None
+
+
+def gather_corners(groups: FlapGroups, values: Float[Tensor, "nV 3"]) -> Float[Tensor, "4 3 n"]:
+    """values[corners], one contiguous row a corner and coordinate."""
+    flat = groups.corners.reshape(-1)
+    if values.requires_grad:
+        order, starts = groups.readers
+        each = torch.arange(len(flat) + 1, device=flat.device)
+        rows = _SumRows.apply(values, flat, each, order, starts[::4])
+    else:
+        rows = values.index_select(0, flat)
+    return rows.view(-1, 4, 3).permute(1, 2, 0).contiguous()
+
+
+def sum_slots(groups: FlapGroups, table: Float[Tensor, "4*nV c"]) -> Float[Tensor, "n c"]:
+    """Sum over a half-flap's corners k of row 4 * corner + k."""
+    if not table.requires_grad:
+        return embedding_bag(groups.slots, table, mode="sum")
+    order, starts = groups.readers
+    four = torch.arange(0, groups.slots.numel() + 1, 4, device=table.device)
+    return _SumRows.apply(table, groups.slots.reshape(-1), four, order // 4, starts)
+
+
+def pool(groups: FlapGroups, values: Float[Tensor, "n c"]) -> Float[Tensor, "m c"]:
+    """Sum over each group."""
+    each = torch.arange(len(values) + 1, device=values.device)
+    if not values.requires_grad:
+        return embedding_bag(each[:-1], values, groups.offsets, mode="sum", include_last_offset=True)
+    return _SumRows.apply(values, each[:-1], groups.offsets, groups.owner, each)

@@ -1,0 +1,171 @@
+"""Pictures of meshes as PNG files, drawn off-screen (no display is needed)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from io import BytesIO
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from neusub.files import replacing
+from neusub.mesh import Mesh
+
+if TYPE_CHECKING:
+    import pyvista
+
+__all__ = ["render"]
+
+CLAY = "#dfe3ea"
+EDGE = "#4a5568"
+CAMERA = (0.9, 0.45, 1.2)  # from where it looks, with y up: right, above, in front
+
+
+def render(
+    meshes: Mesh | Sequence[Mesh],
+    path: str | Path,
+    *,
+    titles: Sequence[str] | None = None,
+    smooth: bool = False,
+    wireframe: bool = False,
+    reference: Mesh | None = None,
+    columns: int | None = None,
+    panel: tuple[int, int] = (480, 400),
+    camera: tuple[float, float, float] = CAMERA,
+    up: tuple[float, float, float] = (0, 1, 0),
+) -> Path:
+    """Draw meshes side by side, each seen from the same side; the path of the PNG.
+
+    titles: a line below each.  smooth: smooth shading instead of flat.  wireframe: draw the edges.  reference: colour
+    by the distance to it, one colour bar for all, in the meshes' unit.  columns: panels in a row (all by default).
+    panel: width and height of a panel in pixels.  camera, up: direction to the eye and upwards.
+    The panels of a row frame the same box, that of the row's first mesh, so that shrinking shows.
+    Raises MeshFileError where the file cannot be written; ValueError for no meshes, or titles of another number.
+    """
+    import pyvista
+
+    meshes = [meshes] if isinstance(meshes, Mesh) else list(meshes)
+    if not meshes or (titles is not None and len(titles) != len(meshes)):
+        raise ValueError(f"{len(meshes)} meshes and {len(titles or [])} titles: give at least one mesh, a title each.")
+    columns = columns or len(meshes)
+    rows = -(-len(meshes) // columns)
+    bar_height = 70 if reference is not None else 0
+    errors = [_errors(mesh, reference) for mesh in meshes] if reference is not None else [None] * len(meshes)
+    top = max(float(np.percentile(error, 99)) for error in errors) if reference is not None else 0.0
+    with replacing(path) as new:
+        plotter = pyvista.Plotter(off_screen=True, shape=(rows, columns), border=False,
+                                  window_size=[panel[0] * columns, panel[1] * rows])
+        try:
+            for k, (mesh, error) in enumerate(zip(meshes, errors)):
+                plotter.subplot(k // columns, k % columns)
+                _draw(plotter, mesh, error, top, smooth, wireframe)
+                if titles is not None:
+                    plotter.add_text(titles[k], position="lower_edge", font_size=9, color="black")
+                _frame(plotter, meshes[k - k % columns], camera, up, panel)
+            picture = plotter.screenshot(return_img=True)
+        finally:
+            plotter.close()
+        _write_png(np.asarray(picture), new, top, bar_height)
+    return Path(path)
+
+
+def _errors(mesh: Mesh, reference: Mesh) -> np.ndarray:
+    from neusub.metrics import point_distance
+
+    return point_distance(mesh.vertices, reference)[0]
+
+
+def _draw(plotter: pyvista.Plotter, mesh: Mesh, error: np.ndarray | None, top: float, smooth: bool,
+          wireframe: bool) -> None:
+    """Add one mesh to the current panel."""
+    look: dict[str, Any] = {"smooth_shading": smooth, "show_edges": wireframe, "edge_color": EDGE, "line_width": 1,
+                            "ambient": 0.25, "diffuse": 0.75, "specular": 0.1, "show_scalar_bar": False}
+    texture = _texture(mesh)
+    data = _polydata(mesh, split=texture is not None and error is None)
+    if error is not None:
+        plotter.add_mesh(data, scalars=error, cmap="viridis", clim=(0, top or 1), **look)
+    elif texture is not None:
+        plotter.add_mesh(data, texture=texture, **look)
+    elif mesh.colors is not None:
+        plotter.add_mesh(data, scalars=np.clip(mesh.colors[:, :3], 0, 1), rgb=True, **look)
+    else:
+        plotter.add_mesh(data, color=CLAY, **look)
+    plotter.set_background("white")  # type: ignore[arg-type]
+
+
+def _polydata(mesh: Mesh, split: bool) -> pyvista.PolyData:
+    """The mesh for the renderer; split gives each texture vertex its own point, as the renderer has one UV a point."""
+    import pyvista
+
+    if not split or mesh.uv is None or mesh.uv_faces is None:
+        return pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces)
+    pairs = np.stack([mesh.faces.reshape(-1), mesh.uv_faces.reshape(-1)], axis=1)
+    unique, corner = np.unique(pairs, axis=0, return_inverse=True)
+    data = pyvista.PolyData.from_regular_faces(mesh.vertices[unique[:, 0]], corner.reshape(-1, 3))
+    data.active_texture_coordinates = mesh.uv[unique[:, 1]]
+    return data
+
+
+def _texture(mesh: Mesh) -> pyvista.Texture | None:
+    """The base colour's image of the first material that has one."""
+    import pyvista
+    from PIL import Image
+
+    if mesh.uv is None:
+        return None
+    for material in mesh.materials:
+        for _, _, content in material.textures:
+            return pyvista.Texture(np.asarray(Image.open(BytesIO(content)).convert("RGB")))  # type: ignore[arg-type]
+    return None
+
+
+def _frame(plotter: pyvista.Plotter, mesh: Mesh, camera: tuple, up: tuple, panel: tuple[int, int]) -> None:
+    """Look at the mesh's box from the camera's direction, the box just inside the panel."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    centre = (low + high) / 2
+    direction = np.asarray(camera) / np.linalg.norm(camera)
+    radius = np.linalg.norm(mesh.vertices - centre, axis=1).max() or 1.0
+    distance = 4 * radius
+    plotter.camera.position = tuple(centre + distance * direction)
+    plotter.camera.focal_point = tuple(centre)
+    plotter.camera.up = up
+    right = np.cross(up, direction)
+    right /= np.linalg.norm(right)
+    above = np.cross(direction, right)
+    offset = mesh.vertices - centre
+    depth = distance - offset @ direction
+    half = max((np.abs(offset @ above) / depth).max(), (np.abs(offset @ right) / depth).max() * panel[1] / panel[0])
+    plotter.camera.view_angle = float(np.degrees(2 * np.arctan(1.2 * half)))
+    plotter.camera.clipping_range = (distance - 2 * radius, distance + 2 * radius)
+
+
+def _write_png(picture: np.ndarray, path: Path, top: float, bar_height: int) -> None:
+    """The picture, with a colour bar below where there is one."""
+    from PIL import Image
+
+    image = Image.fromarray(picture)
+    if bar_height:
+        whole = Image.new("RGB", (image.width, image.height + bar_height), "white")
+        whole.paste(image, (0, 0))
+        bar = _colour_bar(image.width, bar_height, top)
+        whole.paste(bar, (0, image.height))
+        image = whole
+    image.save(path, format="PNG")
+
+
+def _colour_bar(width: int, height: int, top: float) -> Any:
+    """The scale of the heat map, from 0 to the 99th percentile of the largest panel."""
+    from matplotlib.colorbar import ColorbarBase
+    from matplotlib.colors import Normalize
+    from matplotlib.figure import Figure
+    from PIL import Image
+
+    figure = Figure(figsize=(width / 100, height / 100), dpi=100)
+    axes = figure.add_axes((0.2, 0.6, 0.6, 0.25))
+    bar = ColorbarBase(axes, cmap="viridis", norm=Normalize(0, top or 1), orientation="horizontal", extend="max")
+    bar.set_label("distance to the reference (mesh units)", fontsize=8)
+    axes.tick_params(labelsize=8)
+    file = BytesIO()
+    figure.savefig(file, format="png")
+    return Image.open(file).convert("RGB")
