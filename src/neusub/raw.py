@@ -130,6 +130,9 @@ def weld(raw: RawMesh, attributes: Float64[ndarray, "nV K"] | None) -> None:
     border = _border_halfedges(raw.faces, n)
     tail, head = raw.faces.reshape(-1)[border], raw.faces[:, [1, 2, 0]].reshape(-1)[border]
     mine = (on_seam[tail] | on_seam[head]) & (site[tail] != site[head])
+    apart = len(tail) - mine.sum() - len(np.unique(np.sort(site[np.stack([tail, head], 1)[~mine]], axis=1), axis=0))
+    if apart:
+        raw.report.append(f"left {apart} border edges apart that coincide with others without a seam between them")
     tail, head = tail[mine], head[mine]
     low, high = np.minimum(site[tail], site[head]), np.maximum(site[tail], site[head])
     _, edge, counts = np.unique(low * n + high, return_inverse=True, return_counts=True)

@@ -1,0 +1,61 @@
+"""Pictures are there, of the right size, and show something."""
+
+import numpy as np
+import pytest
+import shapes
+from PIL import Image
+
+import neusub
+from neusub.errors import MeshFileError
+from neusub.mesh import Mesh
+
+
+def ball(radius: float = 1.0) -> Mesh:
+    vertices, faces = shapes.icosphere(2)
+    return Mesh(radius * vertices, faces)
+
+
+def drawn(path) -> np.ndarray:
+    """Which pixels are not white."""
+    return (np.asarray(Image.open(path).convert("RGB")) < 250).any(axis=-1)
+
+
+def test_each_mesh_gets_a_panel(tmp_path):
+    path = neusub.render([ball(), ball()], tmp_path / "two.png", panel=(200, 160), titles=["one", "two"])
+    pixels = drawn(path)
+    assert pixels.shape == (160, 400)
+    for half in (pixels[:, :200], pixels[:, 200:]):
+        assert 0.1 < half.mean() < 0.9
+
+
+def test_a_smaller_result_looks_smaller_beside_its_input(tmp_path):
+    pixels = drawn(neusub.render([ball(), ball(0.5)], tmp_path / "two.png", panel=(200, 200)))
+    assert pixels[:, 200:].sum() < 0.4 * pixels[:, :200].sum()
+
+
+def test_panels_break_into_rows(tmp_path):
+    path = neusub.render([ball()] * 3, tmp_path / "rows.png", panel=(100, 100), columns=2)
+    assert Image.open(path).size == (200, 200)
+
+
+def test_wireframe_draws_the_edges(tmp_path):
+    plain = np.asarray(Image.open(neusub.render(ball(), tmp_path / "a.png")))
+    wired = np.asarray(Image.open(neusub.render(ball(), tmp_path / "b.png", wireframe=True)))
+    assert (plain != wired).any(axis=-1).mean() > 0.02
+
+
+def test_a_heat_map_has_colours_and_a_bar(tmp_path):
+    bumpy = Mesh(ball().vertices * (1 + 0.1 * np.sin(5 * ball().vertices[:, :1])), ball().faces)
+    path = neusub.render(bumpy, tmp_path / "heat.png", panel=(300, 200), reference=ball())
+    pixels = np.asarray(Image.open(path)).astype(int)
+    assert pixels.shape[:2] == (270, 300)
+    assert np.ptp(pixels[:200], axis=-1).max() > 60
+    assert np.ptp(pixels[200:], axis=-1).max() > 60
+
+
+def test_nothing_is_left_behind_by_a_failure(tmp_path):
+    with pytest.raises(MeshFileError, match="does not exist"):
+        neusub.render(ball(), tmp_path / "no" / "picture.png")
+    with pytest.raises(ValueError, match="titles"):
+        neusub.render(ball(), tmp_path / "picture.png", titles=["a", "b"])
+    assert list(tmp_path.iterdir()) == []
