@@ -10,7 +10,7 @@ from numpy import ndarray
 
 from neusub.topology import build_topology, refine_faces
 
-Shape = tuple[ndarray, " ndarray"]
+Shape = tuple[ndarray, ndarray]
 
 
 def _shape(vertices: object, faces: object) -> Shape:

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-import shapes
 
+import shapes
 from neusub.mesh import Mesh
 from neusub.metrics import distance, sample_surface, triangle_quality
 

@@ -2,10 +2,10 @@
 
 import numpy as np
 import pytest
-import shapes
 from PIL import Image
 
 import neusub
+import shapes
 from neusub.errors import MeshFileError
 from neusub.mesh import Mesh
 

@@ -53,12 +53,22 @@ class FlapGroups:
     # Transposes, for gradients only: which rows read a given vertex, and which group reads a given row.
 
     @cached_property
-    def readers(self) -> tuple[Tensor, " Tensor"]:
-        """Rows of `slots.reshape(-1)` in the order of the table's rows that they read, and where each begins."""
+    def readers(self) -> tuple[Tensor, Tensor, Tensor]:
+        """Corners in the order of the rows of `slots` that they read, their half-flaps, and where each row begins."""
         flat = self.slots.reshape(-1)
         order = torch.argsort(flat)
         bounds = torch.arange(4 * int(self.corners.max()) + 5, device=flat.device)
-        return order, torch.searchsorted(flat[order], bounds)
+        return order, order // 4, torch.searchsorted(flat[order], bounds)
+
+    @cached_property
+    def ones(self) -> Tensor:
+        """0 .. 4 n: offsets of bags of one row."""
+        return torch.arange(4 * len(self.corners) + 1, device=self.corners.device)
+
+    @cached_property
+    def fours(self) -> Tensor:
+        """0, 4 .. 4 n: offsets of bags of one half-flap's corners."""
+        return self.ones[::4].contiguous()
 
     @cached_property
     def owner(self) -> Int[Tensor, " n"]:
@@ -114,9 +124,8 @@ def gather_corners(groups: FlapGroups, values: Float[Tensor, "nV 3"]) -> Float[T
     """values[corners], one contiguous row a corner and coordinate."""
     flat = groups.corners.reshape(-1)
     if values.requires_grad:
-        order, starts = groups.readers
-        each = torch.arange(len(flat) + 1, device=flat.device)
-        rows = _SumRows.apply(values, flat, each, order, starts[::4])
+        order, _, starts = groups.readers
+        rows = _SumRows.apply(values, flat, groups.ones, order, starts[::4])
     else:
         rows = values.index_select(0, flat)
     return rows.view(-1, 4, 3).permute(1, 2, 0).contiguous()
@@ -126,14 +135,13 @@ def sum_slots(groups: FlapGroups, table: Float[Tensor, "4*nV c"]) -> Float[Tenso
     """Sum over a half-flap's corners k of row 4 * corner + k."""
     if not table.requires_grad:
         return embedding_bag(groups.slots, table, mode="sum")
-    order, starts = groups.readers
-    four = torch.arange(0, groups.slots.numel() + 1, 4, device=table.device)
-    return _SumRows.apply(table, groups.slots.reshape(-1), four, order // 4, starts)
+    _, readers, starts = groups.readers
+    return _SumRows.apply(table, groups.slots.reshape(-1), groups.fours, readers, starts)
 
 
 def pool(groups: FlapGroups, values: Float[Tensor, "n c"]) -> Float[Tensor, "m c"]:
     """Sum over each group."""
-    each = torch.arange(len(values) + 1, device=values.device)
+    rows = groups.ones[: len(values)]
     if not values.requires_grad:
-        return embedding_bag(each[:-1], values, groups.offsets, mode="sum", include_last_offset=True)
-    return _SumRows.apply(values, each[:-1], groups.offsets, groups.owner, each)
+        return embedding_bag(rows, values, groups.offsets, mode="sum", include_last_offset=True)
+    return _SumRows.apply(values, rows, groups.offsets, groups.owner, groups.ones[: len(values) + 1])

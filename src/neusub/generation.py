@@ -83,8 +83,9 @@ def save_pairs(pairs: list[Pair], path: str | Path, header: dict) -> None:
         "target_offsets": np.cumsum([0] + [len(p.targets) for p in pairs], dtype=np.int64),
         "level_sizes": np.array([p.level_sizes for p in pairs], dtype=np.int32),
     }
-    if all(pair.decimated is not None for pair in pairs):
-        arrays["decimated"] = np.concatenate([p.decimated for p in pairs]).astype(np.float32)
+    decimated = [pair.decimated for pair in pairs if pair.decimated is not None]
+    if len(decimated) == len(pairs):
+        arrays["decimated"] = np.concatenate(decimated).astype(np.float32)
     header = {"format": FORMAT, "version": __version__, "count": len(pairs), "levels": pairs[0].levels, **header}
     with replacing(path) as new:
         save_file(arrays, new, metadata={"neusub": json.dumps(header, sort_keys=True)})

@@ -105,7 +105,7 @@ def point_distance(
     squared, face, closest = igl.point_mesh_squared_distance(
         np.ascontiguousarray(points), np.ascontiguousarray(mesh.vertices), np.ascontiguousarray(mesh.faces)
     )
-    return np.sqrt(squared), np.asarray(face).reshape(-1), closest
+    return np.sqrt(squared), np.asarray(face).reshape(-1), np.asarray(closest)
 
 
 def sample_surface(

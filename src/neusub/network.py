@@ -130,9 +130,10 @@ class HalfFlapMLP(nn.Module):
         count = groups.offsets.diff().to(hidden.dtype)[:, None]
         if not defined.all():  # half-flaps without a frame are left out of the mean
             hidden = hidden * defined[:, None]
+            axes = torch.where(defined, axes, 0)
             count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
         local = linear(hidden, self.last.weight[:3], self.last.bias[:3]).T.contiguous()
-        move = torch.where(defined, (local[:, None] * axes).sum(0), 0)
+        move = (local[:, None] * axes).sum(0)
         # The last layer is linear: the mean of its features is its value at the mean.
         learned = linear(pool(groups, hidden) / count, self.last.weight[3:], self.last.bias[3:]) if features else None
         return pool(groups, move.T.contiguous()) / count, learned

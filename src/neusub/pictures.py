@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from neusub.errors import MeshFileError
 from neusub.files import replacing
 from neusub.mesh import Mesh
 
@@ -40,19 +41,24 @@ def render(
     titles: a line below each.  smooth: smooth shading instead of flat.  wireframe: draw the edges.  reference: colour
     by the distance to it, one colour bar for all, in the meshes' unit.  columns: panels in a row (all by default).
     panel: width and height of a panel in pixels.  camera, up: direction to the eye and upwards.
-    The panels of a row frame the same box, that of the row's first mesh, so that shrinking shows.
-    Raises MeshFileError where the file cannot be written; ValueError for no meshes, or titles of another number.
+    The panels of a row frame the same box, that of the row's first mesh, so that shrinking shows; a mesh that lies
+    elsewhere has its own.  Raises MeshFileError where the file cannot be written or a texture not read; ValueError for
+    no meshes, titles of another number, or a camera along `up`.
     """
     import pyvista
 
     meshes = [meshes] if isinstance(meshes, Mesh) else list(meshes)
     if not meshes or (titles is not None and len(titles) != len(meshes)):
         raise ValueError(f"{len(meshes)} meshes and {len(titles or [])} titles: give at least one mesh, a title each.")
+    if columns is not None and columns < 1:
+        raise ValueError(f"columns = {columns}: give at least one.")
+    if np.linalg.norm(np.cross(camera, up)) < 1e-9:
+        raise ValueError(f"camera {camera} looks along up {up}: choose another up.")
     columns = columns or len(meshes)
     rows = -(-len(meshes) // columns)
     bar_height = 70 if reference is not None else 0
-    errors = [_errors(mesh, reference) for mesh in meshes] if reference is not None else [None] * len(meshes)
-    top = max(float(np.percentile(error, 99)) for error in errors) if reference is not None else 0.0
+    errors = [None if reference is None else _errors(mesh, reference) for mesh in meshes]
+    top = max((float(np.percentile(error, 99)) for error in errors if error is not None), default=0.0)
     with replacing(path) as new:
         plotter = pyvista.Plotter(off_screen=True, shape=(rows, columns), border=False,
                                   window_size=[panel[0] * columns, panel[1] * rows])
@@ -62,7 +68,8 @@ def render(
                 _draw(plotter, mesh, error, top, smooth, wireframe)
                 if titles is not None:
                     plotter.add_text(titles[k], position="lower_edge", font_size=9, color="black")
-                _frame(plotter, meshes[k - k % columns], camera, up, panel)
+                first = meshes[k - k % columns]
+                _frame(plotter, first if _overlap(first, mesh) else mesh, camera, up, panel)
             picture = plotter.screenshot(return_img=True)
         finally:
             plotter.close()
@@ -74,6 +81,12 @@ def _errors(mesh: Mesh, reference: Mesh) -> np.ndarray:
     from neusub.metrics import point_distance
 
     return point_distance(mesh.vertices, reference)[0]
+
+
+def _overlap(a: Mesh, b: Mesh) -> bool:
+    """Whether the boxes meet; a mesh elsewhere is framed by itself."""
+    return bool(((a.vertices.min(axis=0) <= b.vertices.max(axis=0))
+                 & (b.vertices.min(axis=0) <= a.vertices.max(axis=0))).all())
 
 
 def _draw(plotter: pyvista.Plotter, mesh: Mesh, error: np.ndarray | None, top: float, smooth: bool,
@@ -110,13 +123,19 @@ def _polydata(mesh: Mesh, split: bool) -> pyvista.PolyData:
 def _texture(mesh: Mesh) -> pyvista.Texture | None:
     """The base colour's image of the first material that has one."""
     import pyvista
-    from PIL import Image
+    from PIL import Image, UnidentifiedImageError
 
     if mesh.uv is None:
         return None
     for material in mesh.materials:
-        for _, _, content in material.textures:
-            return pyvista.Texture(np.asarray(Image.open(BytesIO(content)).convert("RGB")))  # type: ignore[arg-type]
+        for role, name, content in material.textures:
+            if role != "map_Kd":
+                continue
+            try:
+                image = np.asarray(Image.open(BytesIO(content)).convert("RGB"))
+            except UnidentifiedImageError:
+                raise MeshFileError(f"the texture {name} is no image that can be read. Replace it.") from None
+            return pyvista.Texture(image)  # type: ignore[arg-type]
     return None
 
 

@@ -278,7 +278,7 @@ def _collapse_flat_faces(work: RawMesh, changes: list[str]) -> None:
         changes.append(f"kept {left} zero-area faces, whose collapse would make the mesh non-manifold")
 
 
-def _compact(work: RawMesh) -> tuple[ndarray, " ndarray"]:
+def _compact(work: RawMesh) -> tuple[ndarray, ndarray]:
     used, faces = np.unique(work.faces, return_inverse=True)
     return work.vertices[used], faces.reshape(-1, 3)
 

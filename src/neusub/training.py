@@ -30,6 +30,8 @@ from neusub.subdivider import Subdivider
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 
+KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed
+
 
 @dataclass(frozen=True)
 class TrainingResult:
@@ -182,30 +184,25 @@ def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
 
 
 class _Batches:
-    """The batches of each epoch.  Single meshes are prepared once and kept; unions are made anew, one ahead."""
+    """The training pairs in fixed groups, made once and kept; only their order changes from epoch to epoch.
+
+    Preparing a union costs as much as a step on it, so groups that changed would halve the speed.
+    """
 
     def __init__(self, pairs: list[Pair], config: TrainingConfig, device: torch.device):
         self.pairs, self.config, self.device = pairs, config, device
-        self.single = [batch_pairs([p], config.input, device) for p in pairs] if config.batch == 1 else []
+        order = np.arange(len(pairs)) if config.batch == 1 else epoch_order(len(pairs), config.seed, -1 % 2**32)
+        self.groups = [order[i : i + config.batch] for i in range(0, len(order), config.batch)]
+        self.kept: dict[int, Batch] = {}
 
     def epoch(self, epoch: int) -> Iterator[tuple[Batch, int]]:
-        order = epoch_order(len(self.pairs), self.config.seed, epoch)
-        if self.single:
-            for k in order:
-                yield self.single[k], 1
-            return
-        from concurrent.futures import ThreadPoolExecutor
-
-        chosen = [order[i : i + self.config.batch] for i in range(0, len(order), self.config.batch)]
-        with ThreadPoolExecutor(1) as pool:
-            futures = [pool.submit(self._union, chosen[0])]
-            for k, meshes in enumerate(chosen):
-                if k + 1 < len(chosen):
-                    futures.append(pool.submit(self._union, chosen[k + 1]))
-                yield futures.pop(0).result(), len(meshes)
-
-    def _union(self, meshes: np.ndarray) -> Batch:
-        return batch_pairs([self.pairs[k] for k in meshes], self.config.input, self.device)
+        for k in epoch_order(len(self.groups), self.config.seed, epoch):
+            batch = self.kept.get(k)
+            if batch is None:
+                batch = batch_pairs([self.pairs[i] for i in self.groups[k]], self.config.input, self.device)
+                if len(self.pairs) <= KEPT_PAIRS:
+                    self.kept[k] = batch
+            yield batch, len(self.groups[k])
 
 
 # --- checkpoints and logs ----------------------------------------------------------------------------------------
