@@ -21,7 +21,6 @@ _WHERE = {
     "load": "io",
     "save": "io",
     "info": "repair",
-    "repair_mesh": "repair",
     "Subdivider": "subdivider",
     "subdivide": "subdivider",
     "distance": "metrics",
@@ -31,7 +30,22 @@ _WHERE = {
     "TrainingConfig": "configuration",
 }
 
-__all__ = [*_WHERE, "__version__"]
+__all__ = [
+    "Mesh",
+    "MeshError",
+    "NeusubError",
+    "Subdivider",
+    "TrainingConfig",
+    "__version__",
+    "distance",
+    "import_pairs",
+    "info",
+    "load",
+    "render",
+    "save",
+    "subdivide",
+    "train",
+]
 
 if TYPE_CHECKING:
     from neusub.configuration import TrainingConfig as TrainingConfig

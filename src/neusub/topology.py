@@ -1,19 +1,19 @@
-"""Edges, half-edges, half-flaps and the one midpoint refinement, as array code in O(n log n).
+r"""Edges, half-edges, half-flaps and the one midpoint refinement, as array code in O(n log n).
 
 Conventions, used by every module:
 
                 v2            Faces are counter-clockwise seen from outside.
-               /  \\           Half-flap of the directed edge v0 -> v1: v2 is opposite in the face on its
+               /  \           Half-flap of the directed edge v0 -> v1: v2 is opposite in the face on its
              v0 -> v1         left, v3 opposite in the face on its right; -1 where there is no face.
-               \\  /           Edges are the lexicographically sorted unique (min, max) vertex pairs; edge k
+               \  /           Edges are the lexicographically sorted unique (min, max) vertex pairs; edge k
                 v3            has the half-flaps 2k (min -> max) and 2k + 1 (max -> min).
 
 Half-edge h = 3 f + i runs from corner i of face f to the corner after it.
 
                  c            Refinement keeps the old vertices and their indices; the midpoint of edge k is
-                / \\           vertex n_vertices + k.  A face (a, b, c) gives four, which stand in four blocks,
+                / \           vertex n_vertices + k.  A face (a, b, c) gives four, which stand in four blocks,
               ca - bc         each in the order of the old faces:
-              / \\ / \\           [a, ab, ca]  [b, bc, ab]  [c, ca, bc]  [bc, ca, ab]
+              / \ / \           [a, ab, ca]  [b, bc, ab]  [c, ca, bc]  [bc, ca, ab]
              a - ab - b
 
 Every function here trusts its input to be an oriented 2-manifold, with or without boundary (`mesh.Mesh` checks).
@@ -86,19 +86,23 @@ def build_topology(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Topology:
     """Edges and their half-edges, by one sort of the half-edges' keys."""
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     tail = faces.reshape(-1)
-    head = faces[:, [1, 2, 0]].reshape(-1)
-    key = np.minimum(tail, head) * n_vertices + np.maximum(tail, head)
+    head = np.empty_like(faces)
+    head[:, :2], head[:, 2] = faces[:, 1:], faces[:, 0]
+    head = head.reshape(-1)
+    low, high = np.minimum(tail, head), np.maximum(tail, head)
+    key = low * n_vertices + high
     order = np.argsort(key)
     key = key[order]
     is_first = np.empty(len(key), dtype=bool)
     is_first[:1] = True
     np.not_equal(key[1:], key[:-1], out=is_first[1:])
-    edge_key = key[is_first]
+    edge_of = np.cumsum(is_first) - 1
     face_edges = np.empty(len(key), dtype=np.int64)
-    face_edges[order] = np.cumsum(is_first) - 1
-    edge_halfedges = np.full((len(edge_key), 2), -1, dtype=np.int64)
-    edge_halfedges[face_edges, (tail > head).astype(np.int64)] = np.arange(len(key))
-    edges = np.stack([edge_key // n_vertices, edge_key % n_vertices], axis=1)
+    face_edges[order] = edge_of
+    first = order[is_first]
+    edges = np.stack([low[first], high[first]], axis=1)
+    edge_halfedges = np.full((len(edges), 2), -1, dtype=np.int64)
+    edge_halfedges.reshape(-1)[2 * edge_of + (tail > head)[order]] = order
     return Topology(n_vertices, faces, edges, face_edges.reshape(-1, 3), edge_halfedges)
 
 
