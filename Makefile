@@ -19,7 +19,7 @@ bench: .venv/ready
 	$(BIN)/python benchmarks/run.py
 
 lint: .venv/ready
-	$(BIN)/ruff check src tests benchmarks examples
+	$(BIN)/ruff check .
 	$(BIN)/pyright
 
 clean:
