@@ -10,9 +10,10 @@ from __future__ import annotations
 import csv
 import json
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -55,14 +56,74 @@ class _State:
     seconds: float = 0.0
 
 
-def epoch_order(count: int, seed: int, epoch: int) -> np.ndarray:
-    """The order of the meshes in an epoch."""
-    return np.random.default_rng([seed, epoch]).permutation(count)
+@dataclass
+class _Run:
+    """A run under way."""
+
+    config: TrainingConfig
+    data: list[dict]  # headers of the pair files
+    pairs: list[Pair]
+    fabric: Any
+    model: Any
+    optimizer: Any
+    best: dict[str, Tensor]
+    state: _State
+
+    @classmethod
+    def begin(cls, train_files: Sequence[str | Path], validation_files: Sequence[str | Path], config: TrainingConfig):
+        """Read the headers and the training pairs; seed weights and optimizer."""
+        from lightning_fabric import Fabric
+
+        files = [*train_files, *validation_files]
+        data = [{"file": Path(f).name, "hash": file_hash(f), **read_header(f)} for f in files]
+        pairs = read_pairs(train_files, config)
+        fabric = Fabric(accelerator=config.device, devices=1, precision=config.precision)  # type: ignore[arg-type]
+        torch.manual_seed(config.seed)
+        network = NeuralSubdivision(config.width, config.features)
+        adam = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
+        model, optimizer = fabric.setup(network, adam)
+        return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State())
+
+    def epoch(self, batches: _Batches, validation: list[Batch]) -> tuple[float, float]:
+        """One epoch; its training and its validation loss, which is the training loss where nothing is held out."""
+        began = time.perf_counter()
+        set_rate(self.optimizer, self.config, self.state.epoch)
+        training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch)
+        loss = validate(self.model, validation) if validation else training_loss
+        if not np.isfinite(training_loss + loss):
+            raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Lower the learning rate "
+                                f"({self.config.learning_rate}) and resume, or look for broken pairs.")
+        self.state.epoch += 1
+        self.state.seconds += time.perf_counter() - began
+        if loss < self.state.best_loss:
+            self.state.best_loss, self.state.best_epoch = loss, self.state.epoch
+            self.best = copied(self.model.state_dict())
+        return training_loss, loss
+
+    def best_model(self) -> Subdivider:
+        """The best weights with their card."""
+        network = NeuralSubdivision(self.config.width, self.config.features)
+        network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
+        keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
+        card = {
+            "architecture": {"kind": "half-flap", "width": self.config.width, "features": self.config.features},
+            "input": self.config.input,
+            "scale": {"box": 1.0, "edge": mean_coarse_edge(self.pairs)},
+            "training": {
+                "config": asdict(self.config),
+                "data": [{key: entry[key] for key in keys if key in entry} for entry in self.data],
+                "epochs": self.state.epoch,
+                "seconds": round(self.state.seconds, 1),
+            },
+            "licence": "; ".join(sorted({entry.get("licence", "not stated") for entry in self.data})),
+            "scores": {"validation_loss": self.state.best_loss, "validation_epoch": self.state.best_epoch},
+        }
+        return Subdivider(network, card)
 
 
 def train(
-    train_files: list[str | Path],
-    validation_files: list[str | Path],
+    train_files: Sequence[str | Path],
+    validation_files: Sequence[str | Path],
     out: str | Path,
     config: TrainingConfig | None = None,
     *,
@@ -77,76 +138,41 @@ def train(
     on_epoch is called with each row of the log.  Raises TrainingError for a folder that already holds a run (unless
     resume), a checkpoint of another configuration or other data, or a loss that is not finite; PairFileError.
     """
-    from lightning_fabric import Fabric
-
-    config = config or PRESETS["paper"]
-    out = Path(out)
+    config, out = config or PRESETS["paper"], Path(out)
     checkpoint = out / "checkpoint.safetensors"
     if checkpoint.exists() and not resume:
         raise TrainingError(f"{out} holds a run already. Pass resume (--resume) to go on with it, or another folder.")
     if config.threads:
         torch.set_num_threads(config.threads)
-    fabric = Fabric(accelerator=config.device, devices=1, precision=config.precision)  # type: ignore[arg-type]
-    data = [{"file": Path(f).name, "hash": file_hash(f), **read_header(f)} for f in [*train_files, *validation_files]]
-    pairs = [shortened(pair, config.levels) for f in train_files for pair in load_pairs(f)]
-    held_out = [shortened(pair, config.levels) for f in validation_files for pair in load_pairs(f)]
-
-    torch.manual_seed(config.seed)
-    model = NeuralSubdivision(config.width, config.features)
-    optimizer = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
-    model, optimizer = fabric.setup(model, optimizer)
-    best = {key: value.clone() for key, value in model.state_dict().items()}
-    state = _State()
+    run = _Run.begin(train_files, validation_files, config)
+    if checkpoint.exists():
+        load_checkpoint(checkpoint, run)
+    batches = _Batches(run.pairs, config, run.fabric.device)
+    validation = [batch_pairs([p], config.input, run.fabric.device) for p in read_pairs(validation_files, config)]
     out.mkdir(parents=True, exist_ok=True)
-    if resume and checkpoint.exists():
-        state = load_checkpoint(checkpoint, model, optimizer, best, config, data)
-    batches = _Batches(pairs, config, fabric.device)
-    validation = [batch_pairs([pair], config.input, fabric.device) for pair in held_out]
-
-    with _Log(out, state.epoch) as log:
-        while state.epoch < config.epochs:
-            began = time.perf_counter()
-            set_rate(optimizer, config, state.epoch)
-            training_loss = run_epoch(fabric, model, optimizer, batches, state.epoch)
-            loss = validate(model, validation) if validation else training_loss
-            if not np.isfinite(training_loss + loss):
-                raise TrainingError(f"the loss of epoch {state.epoch + 1} is not finite. Lower the learning rate "
-                                    f"({config.learning_rate}) and resume, or look for broken pairs.")
-            state.epoch += 1
-            state.seconds += time.perf_counter() - began
-            if loss < state.best_loss:
-                state.best_loss, state.best_epoch = loss, state.epoch
-                best = {key: value.clone() for key, value in model.state_dict().items()}
-            row = log.write(state, training_loss, loss, config.epochs)
-            if state.epoch % config.checkpoint_every == 0 or state.epoch == config.epochs:
-                save_checkpoint(checkpoint, model, optimizer, best, config, data, state)
-                best_model(best, pairs, config, data, state).save(out / "model.safetensors")
+    with _Log(out, run.state.epoch) as log:
+        while run.state.epoch < config.epochs:
+            row = log.write(run.state, *run.epoch(batches, validation), config.epochs)
+            if run.state.epoch % config.checkpoint_every == 0 or run.state.epoch == config.epochs:
+                save_checkpoint(checkpoint, run)
+                run.best_model().save(out / "model.safetensors")
             if on_epoch:
                 on_epoch(row)
-    return TrainingResult(best_model(best, pairs, config, data, state), state.best_loss, state.best_epoch, state.epoch,
-                          state.seconds, out)
+    state = run.state
+    return TrainingResult(run.best_model(), state.best_loss, state.best_epoch, state.epoch, state.seconds, out)
 
 
-def best_model(best: dict[str, Tensor], pairs: list[Pair], config: TrainingConfig, data: list[dict],
-               state: _State) -> Subdivider:
-    """The best weights with their card."""
-    network = NeuralSubdivision(config.width, config.features)
-    network.load_state_dict({key: value.cpu() for key, value in best.items()})
-    keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
-    card = {
-        "architecture": {"kind": "half-flap", "width": config.width, "features": config.features},
-        "input": config.input,
-        "scale": {"box": 1.0, "edge": mean_coarse_edge(pairs)},
-        "training": {
-            "config": asdict(config),
-            "data": [{key: entry[key] for key in keys if key in entry} for entry in data],
-            "epochs": state.epoch,
-            "seconds": round(state.seconds, 1),
-        },
-        "licence": "; ".join(sorted({entry.get("licence", "not stated") for entry in data})),
-        "scores": {"validation_loss": state.best_loss, "validation_epoch": state.best_epoch},
-    }
-    return Subdivider(network, card)
+def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair]:
+    return [shortened(pair, config.levels) for file in files for pair in load_pairs(file)]
+
+
+def copied(weights: dict[str, Tensor]) -> dict[str, Tensor]:
+    return {key: value.clone() for key, value in weights.items()}
+
+
+def epoch_order(count: int, seed: int, epoch: int) -> np.ndarray:
+    """The order of the meshes in an epoch."""
+    return np.random.default_rng([seed, epoch]).permutation(count)
 
 
 def mean_coarse_edge(pairs: list[Pair]) -> float:
@@ -208,22 +234,20 @@ class _Batches:
 # --- checkpoints and logs ----------------------------------------------------------------------------------------
 
 
-def save_checkpoint(path: Path, model, optimizer, best: dict[str, Tensor], config: TrainingConfig, data: list[dict],
-                    state: _State) -> None:
+def save_checkpoint(path: Path, run: _Run) -> None:
     """Weights, best weights and Adam's moments in one safetensors file, whole or not at all."""
-    tensors = {f"model.{key}": value for key, value in model.state_dict().items()}
-    tensors |= {f"best.{key}": value for key, value in best.items()}
-    for index, moments in optimizer.state_dict()["state"].items():
+    tensors = {f"model.{key}": value for key, value in run.model.state_dict().items()}
+    tensors |= {f"best.{key}": value for key, value in run.best.items()}
+    for index, moments in run.optimizer.state_dict()["state"].items():
         tensors |= {f"adam.{index}.{key}": value for key, value in moments.items()}
-    header = {"config": asdict(config), "data": data, "state": asdict(state), "version": __version__}
+    header = {"config": asdict(run.config), "data": run.data, "state": asdict(run.state), "version": __version__}
     with replacing(path) as new:
         save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, new,
                   metadata={"neusub": json.dumps(header)})
 
 
-def load_checkpoint(path: Path, model, optimizer, best: dict[str, Tensor], config: TrainingConfig,
-                    data: list[dict]) -> _State:
-    """Put a checkpoint into model, optimizer and best.  Raises TrainingError where it is of another run."""
+def load_checkpoint(path: Path, run: _Run) -> None:
+    """Put a checkpoint into the run.  Raises TrainingError where it is unreadable or of another run."""
     try:
         with safe_open(path, framework="pt") as file:
             header = json.loads(file.metadata()["neusub"])
@@ -231,22 +255,25 @@ def load_checkpoint(path: Path, model, optimizer, best: dict[str, Tensor], confi
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
     free = {"device", "threads", "checkpoint_every"}  # do not change what is learned
+    if run.config.schedule == "constant":
+        free.add("epochs")
     for field in fields(TrainingConfig):
-        was, now = header["config"].get(field.name), getattr(config, field.name)
+        was, now = header["config"].get(field.name), getattr(run.config, field.name)
         if was != now and field.name not in free:
             raise TrainingError(f"{path}: the run has {field.name} = {was!r}, not {now!r}. Resume it with its own "
                                 "options, or choose another folder.")
-    if [entry["hash"] for entry in header["data"]] != [entry["hash"] for entry in data]:
+    if [entry["hash"] for entry in header["data"]] != [entry["hash"] for entry in run.data]:
         raise TrainingError(f"{path}: the run was begun on other pair files. Resume it with those.")
-    model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
-    best.update({k[5:]: v for k, v in tensors.items() if k.startswith("best.")})
+    run.model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
+    run.best = {k[5:]: v for k, v in tensors.items() if k.startswith("best.")}
     moments: dict[int, dict[str, Tensor]] = {}
     for key, value in tensors.items():
         if key.startswith("adam."):
             _, index, name = key.split(".")
             moments.setdefault(int(index), {})[name] = value
-    optimizer.load_state_dict({"state": moments, "param_groups": optimizer.state_dict()["param_groups"]})
-    return _State(**header["state"])
+    groups = run.optimizer.state_dict()["param_groups"]
+    run.optimizer.load_state_dict({"state": moments, "param_groups": groups})
+    run.state = _State(**header["state"])
 
 
 class _Log:
