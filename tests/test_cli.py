@@ -10,7 +10,7 @@ import pytest
 import neusub
 import shapes
 from neusub.cli import main
-from neusub.mesh import Mesh
+from neusub.mesh import Material, Mesh
 
 
 def neusub_command(capsys, *words: object) -> tuple[int, str, str]:
@@ -69,7 +69,12 @@ def test_an_existing_file_needs_overwrite(ball, tmp_path, capsys):
     (("subdivide", "BALL", "-o", "x.xyz"), "xyz"),
     (("subdivide", "BALL", "-o", "x.obj", "--model", "nobody"), "nobody"),
     (("subdivide", "BALL", "-o", "x.obj", "--levels", "0"), "level"),
-    (("train", "absent.safetensors", "-o", "run"), "absent.safetensors"),
+    (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--levels=-1"), "levels = -1"),
+    (("subdivide", "BALL", "-o", "x.obj", "--device", "nowhere"), "nowhere"),
+    (("subdivide", "BALL", "-o", "x.obj", "--crease-angle", "30"), "creases"),
+    (("render", "BALL", "-o", "x.obj"), ".png"),
+    (("train", "absent.safetensors", "-o", "run"), "import-pairs"),
+    (("train", "absent.safetensors", "-o", "run", "--batch", "0"), "batch = 0"),
     (("evaluate", "BALL", "absent.ply"), "absent.ply"),
     (("subdivide", "-o", "x.obj"), "at least one file"),
 ])  # fmt: skip
@@ -80,6 +85,28 @@ def test_a_wrong_call_is_one_line_and_a_status(ball, tmp_path, capsys, monkeypat
     assert message in err
     assert "Traceback" not in err
     assert sorted(path.name for path in tmp_path.iterdir() if path.name != "run") == ["ball.obj"]
+
+
+def test_textures_and_materials_of_others_are_not_overwritten(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    for name in "AB":
+        material = Material("m", textures=(("map_Kd", "tex.png", name.encode()),))
+        (tmp_path / name).mkdir()
+        neusub.save(Mesh(**shapes.uv_box(), face_data={"material": np.zeros(12, int)}, materials=(material,)),
+                    f"{name}/{name}.obj")
+    status, _, err = neusub_command(capsys, "subdivide", "A/A.obj", "B/B.obj", "-o", "out", "--levels", 1)
+    assert status == 1
+    assert "tex.png" in err
+    assert (tmp_path / "out" / "tex.png").read_bytes() == b"A"
+    assert not (tmp_path / "out" / "B.obj").exists()
+
+
+def test_creases_stay_in_the_limit_levels_and_only_where_they_are_kept(tmp_path):
+    cube = Mesh(*shapes.cube())
+    fine = neusub.subdivide(cube, "butterfly", 1, limit_levels=2, crease_angle=40)[-1]
+    assert np.isclose(np.abs(fine.vertices - cube.vertices.mean(axis=0)).max(axis=1), np.ptp(cube.vertices) / 2).all()
+    with pytest.raises(ValueError, match="keeps no creases"):
+        neusub.subdivide(cube, "neural", 1, crease_angle=40)
 
 
 def bad_meshes():

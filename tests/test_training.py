@@ -94,6 +94,13 @@ def test_a_run_is_not_resumed_with_other_options_or_data(files, tmp_path):
         train(files[1], files[1], tmp_path / "run", CONFIG, resume=True)
 
 
+def test_a_run_at_a_constant_rate_can_be_prolonged(files, tmp_path):
+    whole = train(*files, tmp_path / "whole", CONFIG)
+    train(*files, tmp_path / "parts", replace(CONFIG, epochs=2))
+    parts = train(*files, tmp_path / "parts", CONFIG, resume=True)
+    assert (parts.best_loss, parts.best_epoch, parts.epochs) == (whole.best_loss, whole.best_epoch, 4)
+
+
 def test_a_loss_that_is_not_finite_is_a_named_error(files, tmp_path):
     with pytest.raises(TrainingError, match="not finite"):
         train(*files, tmp_path / "run", replace(CONFIG, learning_rate=1e30))

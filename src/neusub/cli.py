@@ -57,7 +57,7 @@ def subdivide_command(
         stem = target.with_suffix("")
         targets = [Path(f"{stem}.level{k}{target.suffix}") for k in range(levels + limit_levels + 1)]
         targets = targets if all_levels else [target]
-        check_free(targets, overwrite)
+        check_free(targets, overwrite, MESH_SUFFIXES)
         from neusub.io import load, save
 
         mesh = load(path)
@@ -67,7 +67,7 @@ def subdivide_command(
         results = subdivide(mesh, scheme, levels, model=model or DEFAULT_MODEL, limit_levels=limit_levels,
                             scale=scale, device=device, crease_angle=crease_angle)
         for level, place in zip(results[-len(targets) :], targets):
-            save(level, place)
+            save(level, place, overwrite=overwrite)
         return [*notes, f"{path}: {len(mesh.faces):,} -> {len(results[-1].faces):,} faces: {targets[-1]}"]
 
     return for_each(inputs, work)
@@ -110,12 +110,12 @@ def repair_command(
         overwrite: Replace a file that exists.
     """
     def work(path: Path) -> list[str]:
-        check_free([output], overwrite)
+        check_free([output], overwrite, MESH_SUFFIXES)
         from neusub.io import read, save
         from neusub.repair import repair
 
         repaired, report = repair(read(path), split_edges=split_edges, split_vertices=split_vertices)
-        save(repaired, output)
+        save(repaired, output, overwrite=overwrite)
         return [*(report or ["nothing to repair"]), f"{path} -> {output}"]
 
     return for_each((mesh,), work)
@@ -166,7 +166,7 @@ def render_command(
         overwrite: Replace a file that exists.
     """
     def work(path: Path) -> list[str]:
-        check_free([output], overwrite)
+        check_free([output], overwrite, (".png",))
         from neusub.io import load
         from neusub.pictures import render
 
@@ -231,7 +231,6 @@ def train_command(
     """
     given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "levels": levels, "input": input,
              "seed": seed, "device": device, "threads": threads}
-    config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
     training, held_out = list(pairs), list(validation)
     for folder in [path for path in pairs if path.is_dir()]:
         at = training.index(folder)
@@ -240,6 +239,7 @@ def train_command(
             held_out.append(folder / "validation.safetensors")
 
     def work(_: Path) -> list[str]:
+        config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
         result = train_with_progress(training, held_out, out, config, resume)
         return [f"best validation loss {result.best_loss:.6e} in epoch {result.best_epoch} of {result.epochs}, "
                 f"{result.seconds:.0f} s: {out / 'model.safetensors'}"]
@@ -299,11 +299,13 @@ def check_output(inputs: tuple[Path, ...], output: Path) -> None:
     output.mkdir(parents=True, exist_ok=True)
 
 
-def check_free(paths: list[Path], overwrite: bool) -> None:
-    """No output may exist unless it is to be overwritten; its folder must."""
+def check_free(paths: list[Path], overwrite: bool, suffixes: tuple[str, ...]) -> None:
+    """No output may exist unless it is to be overwritten; its folder must, and its kind be one that can be written."""
     from neusub.errors import MeshFileError
 
     for path in paths:
+        if path.suffix.lower() not in suffixes:
+            raise MeshFileError(f"{path} has the extension {path.suffix!r}. Known are: {', '.join(suffixes)}.")
         if path.exists() and not overwrite:
             raise MeshFileError(f"{path} exists. Pass --overwrite to replace it.")
         if not path.parent.is_dir():

@@ -26,6 +26,13 @@ class TrainingConfig:
     threads: int = 0  # of the CPU; 0 leaves them as they are
     checkpoint_every: int = 5  # epochs
 
+    def __post_init__(self) -> None:
+        for name in ("epochs", "batch", "levels", "width", "features", "checkpoint_every"):
+            if getattr(self, name) < 1:
+                raise ValueError(f"{name} = {getattr(self, name)}: take at least 1.")
+        if not self.learning_rate > 0:
+            raise ValueError(f"learning_rate = {self.learning_rate}: take a positive number.")
+
 
 PRESETS = {
     "paper": TrainingConfig(),

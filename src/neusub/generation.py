@@ -110,6 +110,9 @@ def load_pairs(path: str | Path) -> list[Pair]:
     read_header(path)
     with safe_open(path, framework="numpy") as file:
         arrays = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
+    absent = {"faces", "face_offsets", "targets", "target_offsets", "level_sizes"} - arrays.keys()
+    if absent:
+        raise PairFileError(f"{path}: lacks the arrays {', '.join(sorted(absent))}. Make the pairs again.")
     sizes = arrays["level_sizes"].astype(np.int64)
     face_at, target_at = arrays["face_offsets"], arrays["target_offsets"]
     coarse_at = np.concatenate([[0], np.cumsum(sizes[:, 0])])
@@ -137,6 +140,9 @@ def check_pair(pair: Pair) -> None:
     if not np.isfinite(pair.targets).all():
         raise PairFileError(f"pair {pair.name!r}: target {int(np.argwhere(~np.isfinite(pair.targets))[0, 0])} is "
                             "not finite.")
+    if pair.decimated is not None and not (len(pair.decimated) == pair.level_sizes[0]
+                                           and np.isfinite(pair.decimated).all()):
+        raise PairFileError(f"pair {pair.name!r}: its decimated positions are not {pair.level_sizes[0]} finite rows.")
     sizes = [pair.level_sizes[0]]
     for topology in pair.topologies:
         sizes.append(sizes[-1] + len(topology.edges))

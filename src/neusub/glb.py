@@ -72,6 +72,7 @@ def _joined(parts: list[tuple[dict[str, Any], ndarray]]) -> RawMesh:
             raw.colors = raw.colors[:, :3].copy()
     if materials:
         raw.materials = tuple(m for m, _ in materials)
+        raw.report.extend(line for m, found in materials for line in _left_out(m.name, found))
         raw.face_data["material"] = np.concatenate(material)
     weld(raw, np.concatenate(attributes))
     return raw
@@ -90,6 +91,14 @@ def _vertex_colors(part: dict[str, Any], visual: Any, n: int) -> ndarray | None:
     scale = {"u1": 255.0, "u2": 65535.0}.get(colors.dtype.str[1:], 1.0)
     rgba[:, : colors.shape[1]] = colors / scale
     return rgba
+
+
+def _left_out(name: str, found: Any) -> list[str]:
+    """A line for a material's properties that are not kept."""
+    keys = ("normalTexture", "occlusionTexture", "metallicRoughnessTexture", "emissiveTexture", "emissiveFactor",
+            "alphaMode", "alphaCutoff", "doubleSided")
+    lost = [key for key in keys if getattr(found, key, None) is not None]
+    return [f"material {name}: {', '.join(lost)} left out"] if lost else []
 
 
 def _material_index(found: Any, materials: list[tuple[Material, Any]]) -> int:

@@ -35,8 +35,8 @@ def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor,
 
 def edge_vectors(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 3 n"]:
     """v1 - v0, v2 - v0, v3 - v0.  A missing vertex is the other one's reflection through the edge's midpoint."""
-    corners = gather_corners(groups, positions)
-    edges = corners[1:] - corners[:1]
+    origin, others = gather_corners(groups, positions).split([1, 3])
+    edges = others - origin
     if groups.missing is None:
         return edges
     reflected = edges[:1] - edges[[2, 1]]
@@ -48,11 +48,12 @@ def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"],
 
     Where the two normals cancel, z is the left face's, and the right one's where the left face has none.
     """
+    e1, e2, e3 = edges.unbind()
     lengths = edges.detach().square().sum(1, keepdim=True)
-    x, has_edge = unit(edges[0], 0.0)
-    normals = torch.linalg.cross(torch.stack([edges[0], edges[2]]), torch.stack([edges[1], edges[0]]), dim=1)
+    x, has_edge = unit(e1, 0.0)
+    normals = torch.linalg.cross(torch.stack([e1, e3]), torch.stack([e2, e1]), dim=1)
     normals, has_normal = unit(normals, lengths[:1] * lengths[1:])
-    z, has_both = unit(normals[0] + normals[1], 1.0)
+    z, has_both = unit(normals.sum(0), 1.0)
     if not has_both.all():
         z = torch.where(has_both, z, torch.where(has_normal[0], normals[0], normals[1]))
     return torch.stack([x, torch.linalg.cross(z, x, dim=0), z]), (has_edge & has_normal.any(0))[0]

@@ -195,6 +195,8 @@ def _read_mtl(path: Path, report: list[str]) -> dict[str, Material]:
                 textures.append((role, image.name, image.read_bytes()))
             else:
                 extra.append(line)
+                if role.lower().startswith("map_"):
+                    report.append(f"material {name}: no image at '{rest.strip()}'; the line is kept, no file is copied")
         rgba = None if color is None else (color[0], color[1], color[2], alpha)
         materials[name] = Material(name, rgba, tuple(textures), tuple(extra))
     return materials

@@ -108,8 +108,9 @@ def subdivide_classic(
     weights: str = "loop",
     creases: ndarray | None = None,
     crease_angle: float | None = None,
+    limit_levels: int = 0,
 ) -> list[Any]:
-    """Meshes of levels 0 .. `levels`; level 0 is the input.
+    """Meshes of levels 0 .. `levels`, then `limit_levels` of Loop; level 0 is the input.
 
     creases: as in `subdivision_matrix`.  crease_angle: degrees; edges whose dihedral angle is larger are creases too.
     Colours follow the scheme, clipped to [0, 1].
@@ -120,13 +121,13 @@ def subdivide_classic(
         by_angle = crease_edges(mesh.topology, mesh.vertices, crease_angle)
         sharp = by_angle if sharp is None else sharp | by_angle
     meshes = [mesh]
-    for level in range(levels):
+    for level in range(levels + limit_levels):
         topology = mesh.topology
-        matrix = subdivision_matrix(topology, scheme, weights=weights, creases=sharp)
+        matrix = subdivision_matrix(topology, scheme if level < levels else "loop", weights=weights, creases=sharp)
         colors = None if mesh.colors is None else np.clip(matrix @ mesh.colors, 0, 1)
         mesh = mesh.refined(matrix @ mesh.vertices, refine_faces(topology), colors)
         meshes.append(mesh)
-        if sharp is not None and level + 1 < levels:
+        if sharp is not None and level + 1 < levels + limit_levels:
             sharp = refine_creases(topology, sharp, mesh.topology)
     return meshes
 

@@ -24,6 +24,7 @@ from neusub.files import replacing
 from neusub.flaps import level_flaps
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
+from neusub.schemes import subdivide_classic
 from neusub.topology import Topology, connected_components, topology_levels
 
 __all__ = ["Subdivider", "model_names", "subdivide"]
@@ -116,7 +117,7 @@ class Subdivider:
                 result.append(mesh.replace_vertices(vertices))
             else:
                 result.append(result[-1].refined(vertices, connectivity[level], colors))
-        return result + _limit(result[-1], limit_levels)
+        return result + subdivide_classic(result[-1], "loop", limit_levels)[1:]
 
     def _normalisation(self, mesh: Mesh, topology: Topology, scale: Scale):
         """Component of each vertex; centre (k, 3) and factor (k,) of each component."""
@@ -142,19 +143,16 @@ def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, " nV"], 
     return np.where(mean > 0, mean, 1.0)
 
 
-def _limit(mesh: Mesh, levels: int) -> list[Mesh]:
-    if not levels:
-        return []
-    from neusub.schemes import subdivide_classic
-
-    return subdivide_classic(mesh, "loop", levels)[1:]
-
-
 def resolve_device(device: str) -> str:
-    """`auto` is the GPU where there is one."""
-    if device != "auto":
-        return device
-    return "cuda" if torch.cuda.is_available() else "cpu"
+    """`auto` is the GPU where there is one.  Raises ModelError for a device that is not there."""
+    if device == "auto":
+        return "cuda" if torch.cuda.is_available() else "cpu"
+    try:
+        torch.empty(0, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise ModelError(f"device {device!r} is not available ({str(error).splitlines()[0]}). Use 'auto' or 'cpu'.") \
+            from None
+    return device
 
 
 def subdivide(
@@ -171,13 +169,16 @@ def subdivide(
 ) -> list[Mesh]:
     """Refine a mesh by a network or a classical scheme; the list of its levels, 0 first.
 
-    model, scale, limit_levels, device: of the neural scheme (`Subdivider`); creases (edges as vertex pairs) or
-    crease_angle (degrees): edges that Loop and butterfly keep sharp.  Raises ValueError for an unknown scheme.
+    limit_levels: levels of Loop after that.  model, scale, device: of the neural scheme (`Subdivider`).  creases (edges
+    as vertex pairs) or crease_angle (degrees): edges that Loop and butterfly keep sharp.
+    Raises ValueError for an unknown scheme, negative levels, or creases with another scheme.
     """
+    if levels < 0 or limit_levels < 0:
+        raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: none may be below 0.")
+    if scheme in ("neural", "midpoint") and (creases is not None or crease_angle is not None):
+        raise ValueError(f"the scheme {scheme!r} keeps no creases. Use 'loop' or 'butterfly', or leave them out.")
     if scheme == "neural":
         model = model if isinstance(model, Subdivider) else Subdivider.load(model, device=device)
         return model.subdivide(mesh, levels, limit_levels, scale=scale)
-    from neusub.schemes import subdivide_classic
-
-    result = subdivide_classic(mesh, scheme, levels, creases=creases, crease_angle=crease_angle)
-    return result + _limit(result[-1], limit_levels)
+    return subdivide_classic(mesh, scheme, levels, creases=creases, crease_angle=crease_angle,
+                             limit_levels=limit_levels)

@@ -27,7 +27,7 @@ from neusub.errors import TrainingError
 from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, shortened
 from neusub.network import NeuralSubdivision
-from neusub.subdivider import Subdivider
+from neusub.subdivider import Subdivider, resolve_device
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 
@@ -75,9 +75,9 @@ class _Run:
         from lightning_fabric import Fabric
 
         files = [*train_files, *validation_files]
-        data = [{"file": Path(f).name, "hash": file_hash(f), **read_header(f)} for f in files]
+        data = [{**read_header(f), "file": Path(f).name, "hash": file_hash(f)} for f in files]
         pairs = read_pairs(train_files, config)
-        fabric = Fabric(accelerator=config.device, devices=1, precision=config.precision)  # type: ignore[arg-type]
+        fabric = Fabric(accelerator=resolve_device(config.device), devices=1, precision=config.precision)  # type: ignore[arg-type]
         torch.manual_seed(config.seed)
         network = NeuralSubdivision(config.width, config.features)
         adam = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
@@ -91,8 +91,8 @@ class _Run:
         training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch)
         loss = validate(self.model, validation) if validation else training_loss
         if not np.isfinite(training_loss + loss):
-            raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Lower the learning rate "
-                                f"({self.config.learning_rate}) and resume, or look for broken pairs.")
+            raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Train in another folder at "
+                                f"a learning rate below {self.config.learning_rate}, or look for broken pairs.")
         self.state.epoch += 1
         self.state.seconds += time.perf_counter() - began
         if loss < self.state.best_loss:
@@ -147,6 +147,8 @@ def train(
     run = _Run.begin(train_files, validation_files, config)
     if checkpoint.exists():
         load_checkpoint(checkpoint, run)
+    if run.state.epoch > config.epochs:
+        raise TrainingError(f"{out}: the run has {run.state.epoch} epochs already, {config.epochs} were asked for.")
     batches = _Batches(run.pairs, config, run.fabric.device)
     validation = [batch_pairs([p], config.input, run.fabric.device) for p in read_pairs(validation_files, config)]
     out.mkdir(parents=True, exist_ok=True)
