@@ -162,6 +162,23 @@ def test_degenerate_faces_give_finite_output_and_gradients(name, mesh, dtype):
     assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None)
 
 
+@pytest.mark.parametrize("make", [lambda: shapes.torus(9, 7), lambda: shapes.grid(6, 5), shapes.coincident_vertices])
+def test_a_bound_keeps_each_displacement_below_its_share_of_the_shortest_edge(make):
+    vertices, faces = make()
+    network = random_network()
+    free = run(network, vertices, faces, 1)[0].numpy()
+    for module in (network.initial, network.vertex, network.edge):
+        module.bound = 0.01
+    moved = np.linalg.norm(run(network, vertices, faces, 1)[0].numpy() - vertices, axis=1)
+    topology = topology_levels(faces, len(vertices), 1)[0][0]
+    own = np.full(len(vertices), np.inf)
+    lengths = np.linalg.norm(np.diff(vertices[topology.edges], axis=1)[:, 0], axis=1)
+    np.minimum.at(own, topology.edges.reshape(-1), np.repeat(lengths, 2))
+    assert (moved <= 0.01 * own + 1e-12).all()
+    assert moved.max() > 0
+    assert np.linalg.norm(free - vertices, axis=1).max() > moved.max()
+
+
 def make_pair(vertices, faces, seed):
     topologies, _ = topology_levels(faces, len(vertices), 2)
     sizes = (len(vertices), *(t.n_vertices + len(t.edges) for t in topologies))

@@ -85,6 +85,21 @@ def differential_coordinates(
     return torch.cat(parts)
 
 
+def bounded(
+    move: Float[Tensor, "m 3"], groups: FlapGroups, edges: Float[Tensor, "3 3 n"], bound: float
+) -> Float[Tensor, "m 3"]:
+    """Displacements no longer than `bound` times the shortest edge of the half-flaps that gave them.
+
+    Where a thin triangle or a short edge meets weights that never saw one, the displacement exceeds the edge and the
+    surface folds; on meshes like the training's this changes next to nothing.
+    """
+    e1, e2, e3 = edges
+    squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).amin(0)
+    shortest = torch.segment_reduce(squared, "min", offsets=groups.offsets).sqrt()
+    length = torch.linalg.norm(move, dim=1).clamp(min=torch.finfo(move.dtype).tiny)
+    return move * (bound * shortest / length).clamp(max=1)[:, None]
+
+
 # --- the network -------------------------------------------------------------------------------------------------
 
 
@@ -97,6 +112,7 @@ class HalfFlapMLP(nn.Module):
     def __init__(self, channels: int, width: int, features: int, *, vectors: bool):
         super().__init__()
         self.channels, self.vectors = channels, vectors  # of each corner's value; whether it turns with the frame
+        self.bound: float | None = None
         self.first = nn.Linear(9 + 4 * channels, width)
         self.hidden = nn.Linear(width, width)
         self.last = nn.Linear(width, 3 + features)
@@ -137,17 +153,23 @@ class HalfFlapMLP(nn.Module):
         move = (local[:, None] * axes).sum(0)
         # The last layer is linear: the mean of its features is its value at the mean.
         learned = linear(pool(groups, hidden) / count, self.last.weight[3:], self.last.bias[3:]) if features else None
-        return pool(groups, move.T.contiguous()) / count, learned
+        move = pool(groups, move.T.contiguous()) / count
+        return move if self.bound is None else bounded(move, groups, edges, self.bound), learned
 
 
 class NeuralSubdivision(nn.Module):
-    """The paper's network: modules I, V and E, shared over all half-flaps and levels."""
+    """The paper's network: modules I, V and E, shared over all half-flaps and levels.
 
-    def __init__(self, width: int = 32, features: int = 29):
+    bound (not in the paper, for use and not for training): see `bounded`; None leaves the displacements as they are.
+    """
+
+    def __init__(self, width: int = 32, features: int = 29, bound: float | None = None):
         super().__init__()
         self.initial = HalfFlapMLP(3, width, features, vectors=True)
         self.vertex = HalfFlapMLP(features, width, features, vectors=False)
         self.edge = HalfFlapMLP(features, width, features, vectors=False)
+        for module in (self.initial, self.vertex, self.edge):
+            module.bound = bound
 
     def forward(
         self, positions: Float[Tensor, "nV 3"], levels: list[LevelFlaps]

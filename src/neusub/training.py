@@ -31,6 +31,7 @@ from neusub.subdivider import Subdivider, resolve_device
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 
+BOUND = 0.3  # of the shortest edge around, for the displacements of a trained model (`network.bounded`)
 KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed
 
 
@@ -102,11 +103,12 @@ class _Run:
 
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
-        network = NeuralSubdivision(self.config.width, self.config.features)
+        network = NeuralSubdivision(self.config.width, self.config.features, BOUND)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
         card = {
-            "architecture": {"kind": "half-flap", "width": self.config.width, "features": self.config.features},
+            "architecture": {"kind": "half-flap", "width": self.config.width, "features": self.config.features,
+                             "bound": BOUND},
             "input": self.config.input,
             "scale": {"box": 1.0, "edge": mean_coarse_edge(self.pairs)},
             "training": {
