@@ -11,7 +11,9 @@ at its ends and the next ones along the curve.  The number of sharp edges at a v
     3 ..  corner: stays in its place
 
 Sources: Loop 1987 (thesis); Warren 1995 (weights); Hoppe et al. 1994, "Piecewise Smooth Surface Reconstruction"
-(creases); Zorin, Schroeder and Sweldens 1996 and Zorin and Schroeder's course notes, SIGGRAPH 2000 (butterfly).
+(creases); Zorin, Schroeder and Sweldens 1996 (butterfly).  The butterfly's coefficients beside curves are those in use
+after Zorin and Schroeder's course notes, SIGGRAPH 2000; tests show that they reproduce affine functions, they were not
+compared with the notes themselves.
 """
 
 from __future__ import annotations
