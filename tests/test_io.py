@@ -370,3 +370,13 @@ def test_a_dirty_file_gives_a_mesh_or_a_named_error(name):
             repair(raw, split_edges=True, split_vertices=True)
         except errors.NeusubError as error:
             assert len(str(error)) > 20
+
+
+def test_what_a_glb_material_loses_is_reported(tmp_path):
+    import trimesh
+
+    vertices, faces = shapes.cube()
+    material = trimesh.visual.material.PBRMaterial(name="skin", doubleSided=True, emissiveFactor=[1, 0, 0])
+    visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)
+    trimesh.Trimesh(vertices, faces, visual=visual, process=False).export(tmp_path / "skin.glb")
+    assert "material skin: emissiveFactor, doubleSided left out" in load(tmp_path / "skin.glb").load_report

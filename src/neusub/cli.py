@@ -16,7 +16,6 @@ from neusub.configuration import PRESETS, TrainingConfig
 
 app = tyro.extras.SubcommandApp()
 Output = Annotated[Path, arg(aliases=["-o"])]
-MESH_SUFFIXES = (".obj", ".ply", ".stl", ".off", ".glb")
 
 
 @app.command(name="subdivide")
@@ -57,8 +56,9 @@ def subdivide_command(
         stem = target.with_suffix("")
         targets = [Path(f"{stem}.level{k}{target.suffix}") for k in range(levels + limit_levels + 1)]
         targets = targets if all_levels else [target]
-        check_free(targets, overwrite, MESH_SUFFIXES)
-        from neusub.io import load, save
+        from neusub.io import KINDS, load, save
+
+        check_free(targets, overwrite, KINDS)
 
         mesh = load(path)
         notes = [f"{path}: {line}" for line in mesh.load_report]
@@ -110,10 +110,10 @@ def repair_command(
         overwrite: Replace a file that exists.
     """
     def work(path: Path) -> list[str]:
-        check_free([output], overwrite, MESH_SUFFIXES)
-        from neusub.io import read, save
+        from neusub.io import KINDS, read, save
         from neusub.repair import repair
 
+        check_free([output], overwrite, KINDS)
         repaired, report = repair(read(path), split_edges=split_edges, split_vertices=split_vertices)
         save(repaired, output, overwrite=overwrite)
         return [*(report or ["nothing to repair"]), f"{path} -> {output}"]
@@ -286,11 +286,12 @@ def say(line: str, *, error: bool = False) -> None:
 
 def check_output(inputs: tuple[Path, ...], output: Path) -> None:
     """With several inputs the output is a folder, which is made; two inputs never share a name there."""
-    from neusub.errors import MeshFileError
-
     if len(inputs) <= 1:
         return
-    if output.suffix.lower() in MESH_SUFFIXES or output.is_file():
+    from neusub.errors import MeshFileError
+    from neusub.io import KINDS
+
+    if output.suffix.lower() in KINDS or output.is_file():
         raise MeshFileError(f"{output}: with {len(inputs)} inputs the output is a folder. Give one with -o.")
     names = [path.name for path in inputs]
     twice = next((name for name in names if names.count(name) > 1), None)

@@ -75,16 +75,7 @@ def load(path: str | os.PathLike[str]) -> Mesh:
         line = f"dropped {len(dropped)} vertices that no face uses, the first being vertex {dropped[0]}"
         raw.report.append(line)
         warnings.warn(f"{path}: {line}", stacklevel=2)
-    return Mesh(
-        vertices=raw.vertices,
-        faces=raw.faces,
-        uv=raw.uv,
-        uv_faces=raw.uv_faces,
-        colors=raw.colors,
-        face_data=raw.face_data,
-        materials=raw.materials,
-        load_report=tuple(raw.report),
-    )
+    return raw.checked()
 
 
 def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> None:

@@ -26,6 +26,19 @@ class RawMesh:
     materials: tuple[Material, ...] = ()
     report: list[str] = field(default_factory=list)
 
+    def checked(self) -> Mesh:
+        """The mesh, with the report as its load report.  Raises: the `MeshError`s of `Mesh`."""
+        return Mesh(
+            vertices=self.vertices,
+            faces=self.faces,
+            uv=self.uv,
+            uv_faces=self.uv_faces,
+            colors=self.colors,
+            face_data=self.face_data,
+            materials=self.materials,
+            load_report=tuple(self.report),
+        )
+
     def take_faces(self, keep: ndarray) -> None:
         """Keep the faces `keep` (indices or a mask) and what lies on them, in place."""
         self.faces = self.faces[keep]

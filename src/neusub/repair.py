@@ -170,17 +170,8 @@ def repair(raw: RawMesh, split_edges: bool = False, split_vertices: bool = False
         dropped = work.drop_unreferenced()
         if len(dropped):
             changes.append(f"dropped {len(dropped)} unreferenced vertices, the first being vertex {dropped[0]}")
-    mesh = Mesh(
-        vertices=work.vertices,
-        faces=work.faces,
-        uv=work.uv,
-        uv_faces=work.uv_faces,
-        colors=work.colors,
-        face_data=work.face_data,
-        materials=work.materials,
-        load_report=(*work.report, *changes),
-    )
-    return mesh, changes
+    work.report.extend(changes)
+    return work.checked(), changes
 
 
 def _drop_bad_faces(work: RawMesh, changes: list[str]) -> None:
