@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 __all__ = [
+    "DecimationError",
     "DuplicateFaceError",
     "EmptyMeshError",
     "IndexRangeError",
@@ -15,6 +16,7 @@ __all__ = [
     "NonManifoldVertexError",
     "OrientationError",
     "PairFileError",
+    "ParameterizationError",
     "RepeatedVertexError",
     "ShapeError",
     "TrainingError",
@@ -76,6 +78,14 @@ class MeshFileError(NeusubError, OSError):
 
 class PairFileError(NeusubError, ValueError):
     """A file of training pairs that is missing, broken or does not hold what was asked for."""
+
+
+class DecimationError(NeusubError, ValueError):
+    """A decimation that was asked for something impossible: no target, two, one above the mesh's size."""
+
+
+class ParameterizationError(NeusubError, ValueError):
+    """A point that does not lie in the mesh, a signal of another size, or a file that holds no map."""
 
 
 class TrainingError(NeusubError, ValueError):

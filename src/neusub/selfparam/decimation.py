@@ -1,0 +1,210 @@
+"""`decimate`: the door to the collapse kernels.  Checks, normalises, prepares, and lets the charts grow."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+from numpy import ndarray
+
+from neusub.errors import DecimationError
+from neusub.mesh import Mesh
+from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_edges, offer_all, run
+from neusub.selfparam.criteria import REASONS, Criteria
+from neusub.selfparam.flatten import make_solver
+from neusub.selfparam.mapping import grown, make_charts
+from neusub.selfparam.parameterization import SelfParameterization
+from neusub.selfparam.placement import STRATEGIES, USER, Strategy, no_user, vertex_quadrics
+from neusub.selfparam.queue import make_queue
+from neusub.selfparam.surface import Surface, make_ring
+from neusub.topology import Topology
+
+__all__ = ["decimate"]
+
+PAUSE = 20_000  # edges tried between two reports of progress
+CHART_SLOTS = 13  # room for each collapse to begin with: ten or eleven are usual
+
+
+def decimate(
+    mesh: Mesh,
+    *,
+    n_vertices: int | None = None,
+    n_faces: int | None = None,
+    strategy: str | Any = "quadric",
+    seed: int = 0,
+    criteria: Criteria | None = None,
+    flattening: Literal["conformal", "uniform"] = "conformal",
+    sharp_boundary_angle: float | None = None,
+    on_progress: Callable[[int, int], None] | None = None,
+) -> SelfParameterization:
+    """Collapse edges down to a number of vertices or faces, and keep a bijective map between both meshes.
+
+    strategy: one of `STRATEGIES`, or a function compiled by `numba.cfunc(neusub.selfparam.PLACE)` (`placement.py`).
+    seed: of the strategies that draw edges.  criteria: which collapses are legal; the paper's by default.
+    flattening: of each ring, conformal as the paper's; uniform (Tutte) for comparison.
+    sharp_boundary_angle: degrees; boundary vertices that turn by more never move.
+    on_progress: called now and then with the vertices (or faces) that are left, and the target.
+    A target that cannot be reached gives a result with `reached=False` and the refused collapses counted by reason.
+    Raises: DecimationError unless there is exactly one target, from 1 to what the mesh has; for an unknown strategy.
+    Source: Liu et al. 2020, section 4.1 and appendix B; DESIGN.md 4 for boundaries.
+    """
+    targets = checked_targets(mesh, n_vertices, n_faces)
+    plan, user = checked_strategy(strategy)
+    work, centre, scale = prepare(mesh, plan, targets, seed, criteria or Criteria(), flattening, sharp_boundary_angle)
+    announce_compilation()
+    work, status = collapse_all(work, user, targets, on_progress)
+    work.surface.positions[:] = work.surface.positions * scale + centre
+    return finish(mesh, work, status == DONE, strategy if isinstance(strategy, str) else "user", seed)
+
+
+# --- checks ------------------------------------------------------------------------------------------------------
+
+
+def checked_targets(mesh: Mesh, n_vertices: int | None, n_faces: int | None) -> tuple[int, int]:
+    """Both bounds for the kernel; 0 is none."""
+    if (n_vertices is None) == (n_faces is None):
+        raise DecimationError(f"n_vertices = {n_vertices}, n_faces = {n_faces}: give exactly one target.")
+    for name, value, most in (("n_vertices", n_vertices, len(mesh.vertices)), ("n_faces", n_faces, len(mesh.faces))):
+        if value is not None and not 1 <= value <= most:
+            raise DecimationError(f"{name} = {value}: the mesh has {most}. Take a target from 1 to {most}.")
+    return n_vertices or 0, n_faces or 0
+
+
+def checked_strategy(strategy: str | Any) -> tuple[Strategy, Any]:
+    """What the kernel is told of a strategy, and a user's compiled function."""
+    if isinstance(strategy, str):
+        if strategy not in STRATEGIES:
+            raise DecimationError(f"strategy {strategy!r} is not one of {', '.join(STRATEGIES)}, nor a function "
+                                  "compiled by numba.cfunc(neusub.selfparam.PLACE).")
+        return STRATEGIES[strategy], no_user
+    if not hasattr(strategy, "_wrapper_name"):  # what numba.cfunc makes
+        raise DecimationError(f"strategy {strategy!r} is no compiled function. Decorate it with "
+                              "@numba.cfunc(neusub.selfparam.PLACE).")
+    return Strategy(USER), strategy
+
+
+# --- before and after the kernel ---------------------------------------------------------------------------------
+
+
+def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, criteria: Criteria, flattening: str,
+            sharp_boundary_angle: float | None) -> tuple[Work, ndarray, float]:
+    """The kernel's arrays, and what brings its positions back: centre and scale.
+
+    The longest side of the box becomes 1/2 to 1, by a power of two: then nothing in the kernel is absolute, and a
+    mesh that is twice as large gives the same result to the last bit.
+    """
+    if flattening not in ("conformal", "uniform"):
+        raise DecimationError(f"flattening {flattening!r} is not one of conformal, uniform.")
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    centre = (low + high) / 2
+    scale = float(np.exp2(np.ceil(np.log2((high - low).max() or 1.0))))
+    positions = np.ascontiguousarray((mesh.vertices - centre) / scale)
+    topology, n_faces = mesh.topology, len(mesh.faces)
+    starts = outgoing(topology)
+    fixed = np.zeros(len(positions), dtype=np.bool_)
+    if sharp_boundary_angle is not None:
+        fixed = sharp_boundary_vertices(positions, topology, sharp_boundary_angle)
+    surface = Surface(positions, mesh.faces.astype(np.int32), topology.twins.astype(np.int32), starts,
+                      np.arange(n_faces, dtype=np.int32), fixed, np.zeros(len(positions), np.int32))
+    capacity = max(64, 2 * int(topology.valence.max()) + 64)
+    collapses = expected_collapses(mesh, targets)
+    work = Work(
+        surface=surface,
+        charts=make_charts(n_faces, collapses, CHART_SLOTS * collapses + capacity),
+        queue=make_queue(3 * n_faces, len(topology.edges), plan.choices == 0),
+        ring=make_ring(capacity),
+        solver=make_solver(capacity),
+        quadrics=vertex_quadrics(positions, topology, plan.spread),
+        quadric=np.zeros(10),
+        position=np.zeros(3),
+        criteria=criteria.packed(),
+        counts=np.zeros(len(REASONS), np.int64),
+        sizes=np.array([len(positions), n_faces, 0]),
+        random=np.random.SeedSequence(seed).generate_state(1, np.uint64),
+        options=np.array([plan.code, plan.choices, flattening == "conformal"], dtype=np.int64),
+    )
+    return work, centre, scale
+
+
+def expected_collapses(mesh: Mesh, targets: tuple[int, int]) -> int:
+    """At most so many collapses are needed; each removes a vertex, and one or two faces."""
+    if targets[0]:
+        return len(mesh.vertices) - targets[0] + 1
+    return min(len(mesh.faces) - targets[1], len(mesh.vertices)) + 1
+
+
+def collapse_all(work: Work, user: Any, targets: tuple[int, int], on_progress: Any) -> tuple[Work, int]:
+    """Run the kernels to the end, with more room for the charts whenever they ask for it."""
+    n_faces = len(work.surface.faces)
+    at = 0
+    while at < len(work.surface.twins):
+        at = collapse_null_edges(work, user, at, *targets)
+        if at < len(work.surface.twins):
+            work = with_room(work, n_faces)
+    offer_all(work, user)
+    while True:
+        status = run(work, user, *targets, PAUSE)
+        if on_progress:
+            on_progress(int(work.sizes[0 if targets[0] else 1]), max(targets))
+        if status == FULL:
+            work = with_room(work, n_faces)
+        elif status != PAUSED:
+            return work, status
+
+
+def with_room(work: Work, n_faces: int) -> Work:
+    slots = len(work.charts.before)
+    return work._replace(charts=grown(work.charts, n_faces, len(work.charts.split), slots + slots // 2 + 1024))
+
+
+def finish(mesh: Mesh, work: Work, reached: bool, strategy: str, seed: int) -> SelfParameterization:
+    """Number the vertices and faces that are left, in their old order, and cut the charts to size."""
+    surface, charts = work.surface, work.charts
+    alive = np.flatnonzero(surface.faces[:, 0] >= 0)
+    kept, faces = np.unique(surface.faces[alive], return_inverse=True)
+    n_charts, n_versions = (int(n) for n in charts.used)
+    n_slots = int(charts.slots[n_charts])
+    lengths = (n_charts + 1, n_charts, n_charts, n_slots + n_charts, n_slots, n_slots, *(n_versions,) * 3, 2)
+    charts = type(charts)(*(array[:n].copy() for array, n in zip(charts, lengths)))
+    return SelfParameterization(
+        fine=mesh,
+        faces=faces.reshape(-1, 3).astype(np.int64),
+        decimated=surface.positions[kept],
+        versions=surface.versions[alive].astype(np.int32),
+        charts=charts,
+        reached=reached,
+        counts={name: int(n) for name, n in zip(REASONS, work.counts)},
+        strategy=strategy,
+        seed=seed,
+    )
+
+
+def outgoing(topology: Topology) -> ndarray:
+    """A half-edge that leaves each vertex; on the boundary the one without twin."""
+    tails = topology.faces.reshape(-1)
+    starts = np.zeros(topology.n_vertices, dtype=np.int32)
+    starts[tails] = np.arange(len(tails))
+    border = np.flatnonzero(topology.twins < 0)
+    starts[tails[border]] = border
+    return starts
+
+
+def sharp_boundary_vertices(positions: ndarray, topology: Topology, angle: float) -> ndarray:
+    """Whether the boundary turns by more than so many degrees at a vertex."""
+    border = topology.edge_halfedges[topology.is_boundary_edge].max(axis=1)
+    a = topology.faces[border // 3, border % 3]
+    b = topology.faces[border // 3, (border % 3 + 1) % 3]
+    direction = positions[b] - positions[a]
+    leaves, arrives = np.zeros((2, len(positions), 3))
+    leaves[a], arrives[b] = direction, direction
+    turn = np.arctan2(np.linalg.norm(np.cross(arrives, leaves), axis=1), (arrives * leaves).sum(axis=1))
+    return topology.is_boundary_vertex & (turn > np.radians(angle))
+
+
+def announce_compilation() -> None:
+    """Say so where the kernels are about to be compiled, once on a machine, which takes some seconds."""
+    if not run.signatures and not any(Path(run.stats.cache_path).glob("collapse.run-*.nbi")):
+        logging.getLogger("neusub").warning("neusub: compiling the decimation kernels, once on this machine ...")

@@ -1,0 +1,143 @@
+"""Strategies: which edge collapses first, and where its merged vertex goes.
+
+A strategy is a function of one signature, `PLACE`:
+
+    place(a, b, quadric, position) -> cost
+
+    a, b (3,): the ends of the edge.  quadric (10,): of the merged vertex, xx xy xz yy yz zz x y z 1, so that the sum of
+    squared distances of p to the planes is p.A.p + 2 b.p + c.  position (3,): to be filled.
+    The edge of least cost collapses first; an infinite cost keeps the edge.
+
+Compile your own with `numba.cfunc(neusub.selfparam.PLACE)`.  The built-in ones are chosen by a code inside the kernel,
+so that only yours is compiled anew.  Lengths are in the normalised frame (longest side of the box 1).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from jaxtyping import Float64, Int64
+from numba import cfunc, njit, types
+from numpy import ndarray
+
+from neusub.selfparam.surface import COMPILED
+from neusub.topology import Topology
+
+__all__ = ["PLACE", "STRATEGIES", "Strategy", "evaluate", "place_edge", "vertex_quadrics"]
+
+_VECTOR = types.Array(types.float64, 1, "C")
+PLACE = types.float64(_VECTOR, _VECTOR, _VECTOR, _VECTOR)
+QUADRIC, EDGE_LENGTH, REMOVAL, USER = range(4)
+BORDER = 10.0  # weight of the planes that hold a boundary
+REGULAR = 1e-6  # of the quadric's size: pull towards the edge's middle where the planes leave the position open
+
+
+@dataclass(frozen=True)
+class Strategy:
+    """What the kernel needs to know of a strategy."""
+
+    code: int
+    spread: float = 0.0  # weight of the distances to the vertices themselves, beside those to the planes
+    choices: int = 0  # collapse the cheapest of so many random edges; 0: the cheapest of all
+    keeps_vertices: bool = False  # the merged vertex is one of the two: in the plane too
+
+
+STRATEGIES = {
+    "quadric": Strategy(QUADRIC),
+    "random": Strategy(QUADRIC, choices=100, spread=0.003),
+    "edge-length": Strategy(EDGE_LENGTH),
+    "uniform": Strategy(QUADRIC, spread=0.1),
+    "removal": Strategy(REMOVAL, keeps_vertices=True),
+}
+
+
+@cfunc(PLACE, cache=True)
+def no_user(a, b, quadric, position):  # stands where no strategy of a user's is given
+    return np.inf
+
+
+@njit(**COMPILED)
+def evaluate(quadric, x, y, z):
+    """Sum of squared distances to the planes."""
+    q = quadric
+    return (x * (q[0] * x + 2 * (q[1] * y + q[2] * z + q[6])) + y * (q[3] * y + 2 * (q[4] * z + q[7]))
+            + z * (q[5] * z + 2 * q[8]) + q[9])
+
+
+@njit(**COMPILED)
+def minimise(quadric, mx, my, mz, position):
+    """Fill the position of least cost; where the planes leave it open, the one closest to (mx, my, mz)."""
+    q = quadric
+    pull = REGULAR * (q[0] + q[3] + q[5]) + 1e-300
+    xx, xy, xz, yy, yz, zz = q[0] + pull, q[1], q[2], q[3] + pull, q[4], q[5] + pull
+    # relative to the middle, so that no digits are lost: A d = -(A m + b)
+    x = -(q[0] * mx + q[1] * my + q[2] * mz + q[6])
+    y = -(q[1] * mx + q[3] * my + q[4] * mz + q[7])
+    z = -(q[2] * mx + q[4] * my + q[5] * mz + q[8])
+    c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
+    determinant = xx * c0 + xy * c1 + xz * c2
+    position[0] = mx + (c0 * x + c1 * y + c2 * z) / determinant
+    position[1] = my + (c1 * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z) / determinant
+    position[2] = mz + (c2 * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z) / determinant
+
+
+@njit(**COMPILED)
+def place_edge(code, user, a, b, quadric, position):
+    """Cost and position by the strategy of this code."""
+    if code == EDGE_LENGTH:
+        cost = 0.0
+        for axis in range(3):
+            cost += (a[axis] - b[axis]) ** 2
+            position[axis] = (a[axis] + b[axis]) / 2
+        return cost
+    if code == REMOVAL:
+        at_a, at_b = evaluate(quadric, a[0], a[1], a[2]), evaluate(quadric, b[0], b[1], b[2])
+        position[:] = a if at_a <= at_b else b
+        return min(at_a, at_b)
+    if code == USER:
+        return user(a, b, quadric, position)
+    minimise(quadric, (a[0] + b[0]) / 2, (a[1] + b[1]) / 2, (a[2] + b[2]) / 2, position)
+    return evaluate(quadric, position[0], position[1], position[2])
+
+
+def vertex_quadrics(
+    positions: Float64[ndarray, "nV 3"], topology: Topology, spread: float
+) -> Float64[ndarray, "nV 10"]:
+    """The planes of each vertex's faces, weighted by their areas (Garland and Heckbert 1997).
+
+    Beside a boundary also the planes that stand on its edges, so that it keeps its shape.  With `spread` also the
+    vertex itself: the costs then even out the area that a coarse vertex stands for, as k-means would.
+    """
+    corners = positions[topology.faces]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    unit = np.divide(normal, size[:, None], out=np.zeros_like(normal), where=size[:, None] > 0)
+    quadrics = np.zeros((len(positions), 10))
+    scatter(quadrics, topology.faces, plane_quadrics(unit, corners[:, 0], size / 2))
+    area = np.bincount(topology.faces.reshape(-1), np.repeat(size / 6, 3), len(positions))
+    for axis in range(3):
+        quadrics += plane_quadrics(np.eye(3)[[axis]], positions, spread * area)
+    halfedges = topology.edge_halfedges[topology.is_boundary_edge].max(axis=1)
+    if len(halfedges):
+        face, corner = halfedges // 3, halfedges % 3
+        ends = np.stack([topology.faces[face, corner], topology.faces[face, (corner + 1) % 3]], axis=1)
+        along = positions[ends[:, 1]] - positions[ends[:, 0]]
+        wall = np.cross(along, unit[face])
+        length = np.linalg.norm(wall, axis=1, keepdims=True)
+        wall = np.divide(wall, length, out=np.zeros_like(wall), where=length > 0)
+        scatter(quadrics, ends, plane_quadrics(wall, positions[ends[:, 0]], BORDER * length[:, 0] ** 2))
+    return quadrics
+
+
+def plane_quadrics(normal: ndarray, point: ndarray, weight: ndarray) -> Float64[ndarray, "n 10"]:
+    offset = -(normal * point).sum(axis=1)
+    (x, y, z), d = np.broadcast_to(normal, point.shape).T, offset
+    return weight[:, None] * np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x * d, y * d, z * d, d * d], axis=1)
+
+
+def scatter(quadrics: ndarray, corners: Int64[ndarray, "n k"], values: ndarray) -> None:
+    """Add each row's quadric to all of its vertices, in place."""
+    for column in corners.T:
+        for term in range(10):
+            quadrics[:, term] += np.bincount(column, values[:, term], len(quadrics))

@@ -1,0 +1,123 @@
+"""The edges that may collapse, with their costs: a binary heap, or an unordered list to draw from at random.
+
+Both hold the same arrays; edges are named by their lower half-edge.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy import ndarray
+
+from neusub.selfparam.surface import COMPILED
+
+__all__ = ["Queue", "cheapest", "draw", "make_queue", "put", "take_out"]
+
+
+class Queue(NamedTuple):
+    edges: ndarray  # (capacity,) int32, the first size[0] of them
+    costs: ndarray  # (capacity,) float64
+    places: ndarray  # (half-edges,) int32: where an edge stands; -1 where it does not
+    size: ndarray  # (1,) int64
+    is_heap: ndarray  # (1,) bool
+
+
+def make_queue(n_halfedges: int, n_edges: int, is_heap: bool) -> Queue:
+    return Queue(np.zeros(n_edges, np.int32), np.zeros(n_edges), np.full(n_halfedges, -1, np.int32),
+                 np.zeros(1, np.int64), np.array([is_heap]))
+
+
+@njit(**COMPILED)
+def set_place(queue, place, edge, cost):
+    queue.edges[place], queue.costs[place] = edge, cost
+    queue.places[edge] = place
+
+
+@njit(**COMPILED)
+def sift_up(queue, place, edge, cost):
+    """Write the edge at `place` or above, where its cost belongs."""
+    while place > 0:
+        parent = (place - 1) // 2
+        if queue.costs[parent] <= cost:
+            break
+        set_place(queue, place, np.int64(queue.edges[parent]), queue.costs[parent])
+        place = parent
+    set_place(queue, place, edge, cost)
+
+
+@njit(**COMPILED)
+def sift_down(queue, place, edge, cost):
+    """Write the edge at `place` or below."""
+    n = queue.size[0]
+    while True:
+        child = 2 * place + 1
+        if child >= n:
+            break
+        if child + 1 < n and queue.costs[child + 1] < queue.costs[child]:
+            child += 1
+        if queue.costs[child] >= cost:
+            break
+        set_place(queue, place, np.int64(queue.edges[child]), queue.costs[child])
+        place = child
+    set_place(queue, place, edge, cost)
+
+
+@njit(**COMPILED)
+def move(queue, place, edge, cost):
+    """Write the edge where its cost belongs, seen from a place whose old entry is gone."""
+    if not queue.is_heap[0]:
+        set_place(queue, place, edge, cost)
+    elif place > 0 and cost < queue.costs[(place - 1) // 2]:
+        sift_up(queue, place, edge, cost)
+    else:
+        sift_down(queue, place, edge, cost)
+
+
+@njit(**COMPILED)
+def put(queue, edge, cost):
+    """Add an edge, or give it another cost."""
+    place = np.int64(queue.places[edge])
+    if place < 0:
+        place = queue.size[0]
+        queue.size[0] += 1
+    move(queue, place, edge, cost)
+
+
+@njit(**COMPILED)
+def take_out(queue, edge):
+    """Remove an edge; nothing happens where it is not in the queue."""
+    place = np.int64(queue.places[edge])
+    if place < 0:
+        return
+    queue.places[edge] = -1
+    last = queue.size[0] - 1
+    queue.size[0] = last
+    if place < last:
+        move(queue, place, np.int64(queue.edges[last]), queue.costs[last])
+
+
+@njit(**COMPILED)
+def draw(state):
+    """The next 64 random bits (xorshift64*, Vigna 2016)."""
+    x = state[0]
+    x ^= x >> np.uint64(12)
+    x ^= x << np.uint64(25)
+    x ^= x >> np.uint64(27)
+    state[0] = x
+    return x * np.uint64(0x2545F4914F6CDD1D)
+
+
+@njit(**COMPILED)
+def cheapest(queue, choices, state):
+    """The cheapest edge of a heap; the cheapest of `choices` random ones of a list."""
+    if queue.is_heap[0]:
+        return np.int64(queue.edges[0])
+    n = np.uint64(queue.size[0])
+    best, best_cost = 0, np.inf
+    for _ in range(choices):
+        place = np.int64(((draw(state) >> np.uint64(32)) * n) >> np.uint64(32))
+        if queue.costs[place] < best_cost:
+            best, best_cost = place, queue.costs[place]
+    return np.int64(queue.edges[best])

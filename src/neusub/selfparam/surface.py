@@ -1,0 +1,189 @@
+r"""The mesh that is being decimated: half-edges on raw arrays, the ring around an edge, and the collapse itself.
+
+Half-edge h = 3 f + i runs from corner i of face f to the next one (as in `topology.py`).
+
+           x1 --- c=r0         Ring of the half-edge h: j -> k: the vertices around both ends, counter-clockwise,
+          /   \  /  \          from c.  Ring edge t runs from r[t] to r[t + 1] and has one face on its inner side,
+        x2 --- j -h-> k ...    with its apex at j for t < split and at k for t >= split (r[split] is d).
+          \   /  \  /          f0 = (j, k, c) and f1 = (k, j, d) vanish in the collapse; the other faces stay,
+           ... - d             their apex becoming the merged vertex i (which keeps j's index).
+
+An end on the boundary leaves one ring edge without a face: `gap`.  Along a boundary edge there is no f1 (and no d);
+the gap is then at `split`, between the boundary neighbours of j and of k.
+
+Everything here is a compiled kernel on arrays that it trusts; `collapse.py` checks.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy import ndarray
+
+__all__ = ["Ring", "Surface", "collapse_edge", "gather_ring", "make_ring"]
+
+COMPILED = {"cache": True, "nogil": True, "error_model": "numpy"}  # divisions by zero give inf, as in numpy
+
+
+class Surface(NamedTuple):
+    """The current mesh.  Faces and vertices that are gone stay in the arrays: faces[f, 0] < 0."""
+
+    positions: ndarray  # (nV, 3) float64, in the normalised frame
+    faces: ndarray  # (nF, 3) int32
+    twins: ndarray  # (3 nF,) int32: the half-edge the other way; -1 on the boundary
+    starts: ndarray  # (nV,) int32: a half-edge that leaves the vertex; on the boundary the one without twin
+    versions: ndarray  # (nF,) int32: current version of each face (`mapping.py`)
+    is_fixed: ndarray  # (nV,) bool: vertices that never move (sharp corners of a boundary)
+    marks: ndarray  # (nV,) int32: scratch of `has_repetition`
+
+
+class Ring(NamedTuple):
+    """Scratch for one edge's ring of m vertices."""
+
+    vertices: ndarray  # (capacity,) int32: r[0 .. m - 1]
+    halfedges: ndarray  # (capacity,) int32: of ring edge t's face, the half-edge from the apex to r[t]; -1 at the gap
+    points: ndarray  # (capacity + 3, 3): positions of r, j, k and the merged vertex
+    uv: ndarray  # (capacity + 3, 2): their places in the plane
+    weights: ndarray  # (capacity,): cotangent weights
+
+
+def make_ring(capacity: int) -> Ring:
+    return Ring(np.zeros(capacity, np.int32), np.zeros(capacity, np.int32), np.zeros((capacity + 3, 3)),
+                np.zeros((capacity + 3, 2)), np.zeros(capacity))
+
+
+@njit(**COMPILED)
+def after(h):
+    """The next half-edge around the face."""
+    return h - 2 if h % 3 == 2 else h + 1
+
+
+@njit(**COMPILED)
+def before(h):
+    return h + 2 if h % 3 == 0 else h - 1
+
+
+@njit(**COMPILED)
+def tail(surface, h):
+    return np.int64(surface.faces[h // 3, h % 3])
+
+
+@njit(**COMPILED)
+def twin_of(surface, h):
+    return np.int64(surface.twins[h])
+
+
+@njit(**COMPILED)
+def head(surface, h):
+    return tail(surface, after(h))
+
+
+@njit(**COMPILED)
+def edge_of(surface, h):
+    """The half-edge that stands for the edge: the lower one of the two."""
+    twin = twin_of(surface, h)
+    return twin if 0 <= twin < h else h
+
+
+@njit(**COMPILED)
+def on_boundary(surface, v):
+    return surface.twins[surface.starts[v]] < 0
+
+
+@njit(**COMPILED)
+def gather_ring(surface, h, ring):
+    """Fill the ring of h with vertices and half-edges; (m, split, gap), m = 0 where the capacity does not suffice."""
+    capacity = len(ring.vertices)
+    twin = twin_of(surface, h)
+    f0, f1 = h // 3, twin // 3 if twin >= 0 else -1
+    ring.vertices[0] = tail(surface, before(h))
+    m, gap = 1, -1
+    g = twin_of(surface, before(h))
+    while m < capacity:  # counter-clockwise around j, from c to d
+        if g < 0:
+            gap = m - 1
+            ring.halfedges[gap] = -1
+            g = np.int64(surface.starts[tail(surface, h)])
+            if g == h:  # j -> k is itself the boundary
+                break
+            ring.vertices[m] = head(surface, g)
+            m += 1
+            continue
+        if g // 3 == f1:
+            break
+        ring.halfedges[m - 1] = g
+        ring.vertices[m] = tail(surface, before(g))
+        m += 1
+        g = twin_of(surface, before(g))
+    split = m - 1
+    if twin >= 0:
+        g = twin_of(surface, before(twin))
+    else:
+        g = np.int64(surface.starts[head(surface, h)])
+        if m < capacity:
+            ring.vertices[m] = head(surface, g)
+        m += 1
+    while m < capacity:  # around k, from d to c
+        if g < 0:
+            gap = m - 1
+            ring.halfedges[gap] = -1
+            g = np.int64(surface.starts[head(surface, h)])
+            ring.vertices[m] = head(surface, g)
+            m += 1
+            continue
+        if g // 3 == f0:
+            return m - 1, split, gap  # c has come twice
+        ring.halfedges[m - 1] = g
+        ring.vertices[m] = tail(surface, before(g))
+        m += 1
+        g = twin_of(surface, before(g))
+    return 0, 0, -1
+
+
+@njit(**COMPILED)
+def has_repetition(surface, ring, m):
+    """Whether a vertex is in the ring twice: then the link condition Lk(j) & Lk(k) = Lk(jk) fails."""
+    for t in range(m):
+        surface.marks[ring.vertices[t]] = -1
+    for t in range(m):
+        v = ring.vertices[t]
+        if surface.marks[v] >= 0:
+            return True
+        surface.marks[v] = t
+    return False
+
+
+@njit(**COMPILED)
+def join(surface, a, b):
+    """Make two half-edges twins; one of them may be absent."""
+    if a >= 0:
+        surface.twins[a] = b
+    if b >= 0:
+        surface.twins[b] = a
+
+
+@njit(**COMPILED)
+def remove_face(surface, h):
+    """Take the face of h = j -> k out and close the slit: its other two edges become one."""
+    into, out = twin_of(surface, after(h)), twin_of(surface, before(h))  # c -> k and j -> c, beyond the face
+    join(surface, into, out)
+    c = tail(surface, before(h))
+    if surface.starts[c] == before(h):
+        surface.starts[c] = into
+    surface.faces[h // 3, 0] = -1
+
+
+@njit(**COMPILED)
+def collapse_edge(surface, h, ring, m, split, gap):
+    """Merge k into j: connectivity only.  The ring must be that of h and the collapse legal."""
+    j, twin = tail(surface, h), twin_of(surface, h)
+    for t in range(split, m):
+        g = ring.halfedges[t]
+        if t != gap:
+            surface.faces[g // 3, g % 3] = j
+    remove_face(surface, h)
+    if twin >= 0:
+        remove_face(surface, twin)
+    surface.starts[j] = ring.halfedges[(gap + 1) % m]
