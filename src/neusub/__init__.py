@@ -24,9 +24,14 @@ _WHERE = {
     "Subdivider": "subdivider",
     "subdivide": "subdivider",
     "distance": "metrics",
+    "decimate": "selfparam",
+    "SelfParameterization": "selfparam",
+    "remesh": "remeshing",
     "render": "pictures",
+    "make_pairs": "discretization",
     "import_pairs": "generation",
     "train": "training",
+    "PairConfig": "configuration",
     "TrainingConfig": "configuration",
 }
 
@@ -34,13 +39,18 @@ __all__ = [
     "Mesh",
     "MeshError",
     "NeusubError",
+    "PairConfig",
+    "SelfParameterization",
     "Subdivider",
     "TrainingConfig",
     "__version__",
+    "decimate",
     "distance",
     "import_pairs",
     "info",
     "load",
+    "make_pairs",
+    "remesh",
     "render",
     "save",
     "subdivide",
@@ -48,7 +58,9 @@ __all__ = [
 ]
 
 if TYPE_CHECKING:
+    from neusub.configuration import PairConfig as PairConfig
     from neusub.configuration import TrainingConfig as TrainingConfig
+    from neusub.discretization import make_pairs as make_pairs
     from neusub.errors import MeshError as MeshError
     from neusub.errors import NeusubError as NeusubError
     from neusub.generation import import_pairs as import_pairs
@@ -57,7 +69,10 @@ if TYPE_CHECKING:
     from neusub.mesh import Mesh as Mesh
     from neusub.metrics import distance as distance
     from neusub.pictures import render as render
+    from neusub.remeshing import remesh as remesh
     from neusub.repair import info as info
+    from neusub.selfparam import SelfParameterization as SelfParameterization
+    from neusub.selfparam import decimate as decimate
     from neusub.subdivider import Subdivider as Subdivider
     from neusub.subdivider import subdivide as subdivide
     from neusub.training import train as train

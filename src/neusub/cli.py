@@ -4,18 +4,13 @@ from __future__ import annotations
 
 import sys
 import warnings
-from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Literal
 
-import tyro
-from tyro.conf import Positional, arg
+from tyro.conf import Positional
 
-from neusub.configuration import PRESETS, TrainingConfig
-
-app = tyro.extras.SubcommandApp()
-Output = Annotated[Path, arg(aliases=["-o"])]
+from neusub import cli_learning  # noqa: F401 (its commands join the app)
+from neusub.cli_shared import Output, app, check_free, check_output, for_each, level_files, progress_bar, say
 
 
 @app.command(name="subdivide")
@@ -52,10 +47,7 @@ def subdivide_command(
     check_output(inputs, output)
 
     def work(path: Path) -> list[str]:
-        target = output / path.name if len(inputs) > 1 or output.is_dir() else output
-        stem = target.with_suffix("")
-        targets = [Path(f"{stem}.level{k}{target.suffix}") for k in range(levels + limit_levels + 1)]
-        targets = targets if all_levels else [target]
+        targets = level_files(path, inputs, output, levels + limit_levels if all_levels else None)
         from neusub.io import KINDS, load, save
 
         check_free(targets, overwrite, KINDS)
@@ -177,162 +169,102 @@ def render_command(
     return for_each((output,), work)
 
 
-@app.command(name="import-pairs")
-def import_pairs_command(source: Positional[Path], /, output: Output, *, licence: str = "not stated") -> int:
-    """Read the authors' training pairs (npz, or folders subd0, subd1, ... of OBJ files) into pair files.
+@app.command(name="decimate")
+def decimate_command(
+    mesh: Positional[Path],
+    /,
+    output: Output,
+    *,
+    vertices: int | None = None,
+    faces: int | None = None,
+    strategy: str = "quadric",
+    seed: int = 0,
+    on_surface: bool = False,
+    sharp_boundary_angle: float | None = None,
+    map_file: Path | None = None,
+    report: bool = False,
+    overwrite: bool = False,
+) -> int:
+    """Collapse edges down to a number of vertices or faces, keeping a bijective map to the original.
 
     Args:
-        source: The npz file or the folder.
-        output: The folder for train.safetensors and validation.safetensors.
-        licence: Of the source, for the files' headers and the cards of models.
+        mesh: A mesh file.
+        output: The coarse mesh.
+        vertices: How many to keep; or
+        faces: How many to keep.
+        strategy: quadric, random (the cheapest of 100 random edges), edge-length, uniform, removal.
+        seed: Of the random strategy.
+        on_surface: Put the coarse vertices where the map puts them on the surface.
+        sharp_boundary_angle: Boundary vertices that turn by more (degrees) never move.
+        map_file: Also write the map (a safetensors file, for SelfParameterization.load).
+        report: Print distortion, flips and triangle quality.
+        overwrite: Replace files that exist.
     """
     def work(path: Path) -> list[str]:
-        from neusub.generation import import_pairs, read_header
+        from neusub.io import KINDS, load, save
+        from neusub.selfparam import decimate
+        from neusub.selfparam.criteria import refusals
 
-        return [f"{file}: {read_header(file)['count']} pairs" for file in import_pairs(path, output, licence=licence)]
+        check_free([output], overwrite, KINDS)
+        check_free([map_file] if map_file else [], overwrite, (".safetensors",))
+        fine = load(path)
+        with progress_bar("left") as update:
+            result = decimate(fine, n_vertices=vertices, n_faces=faces, strategy=strategy, seed=seed,
+                              sharp_boundary_angle=sharp_boundary_angle, on_progress=update)
+        save(result.on_surface if on_surface else result.coarse, output, overwrite=overwrite)
+        if map_file:
+            result.save(map_file)
+        lines = [f"{path}: {len(fine.faces):,} -> {len(result.faces):,} faces: {output}"]
+        if not result.reached:
+            lines.append(f"the target was not reached; refused: {refusals(result.counts)}")
+        return lines + ([str(result.report())] if report else [])
 
-    return for_each((source,), work)
+    return for_each((mesh,), work)
 
 
-@app.command(name="train")
-def train_command(
-    pairs: Positional[tuple[Path, ...]],
+@app.command(name="remesh")
+def remesh_command(
+    inputs: Positional[tuple[Path, ...]],
     /,
-    out: Output,
+    output: Output,
     *,
-    validation: tuple[Path, ...] = (),
-    preset: Literal["paper", "fast"] = "paper",
-    epochs: int | None = None,
-    batch: int | None = None,
-    learning_rate: float | None = None,
-    levels: int | None = None,
-    input: Literal["on_surface", "decimated"] | None = None,
-    seed: int | None = None,
-    device: str | None = None,
-    threads: int | None = None,
-    resume: bool = False,
+    vertices: int | None = None,
+    faces: int | None = None,
+    levels: int = 2,
+    strategy: str = "uniform",
+    seed: int = 0,
+    all_levels: bool = False,
+    overwrite: bool = False,
 ) -> int:
-    """Train a network from pair files; the best weights go to OUT/model.safetensors.
+    """Remesh to subdivision connectivity, every vertex on the original surface.
 
     Args:
-        pairs: Pair files, or a folder with train.safetensors and validation.safetensors.
-        out: Folder for the model, checkpoint.safetensors, log.csv and TensorBoard events.
-        validation: Pair files to choose the best epoch by.
-        preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs.
-        epochs: Instead of the preset's; so are the following.
-        batch: Meshes a step.
-        learning_rate: Of Adam.
-        levels: Levels of the network.
-        input: Where the coarse vertices lie.
-        seed: Of weights and order.
-        device: auto, cpu, cuda, ...
-        threads: CPU threads.
-        resume: Go on with the run in OUT.
+        inputs: Mesh files.
+        output: A file; with several inputs, a folder.
+        vertices: Of the base; or
+        faces: Of the base (SubdivNet reads 400 to 600).
+        levels: Of refinement over the base.
+        strategy: How the base is decimated (see 'neusub decimate').
+        seed: Of the random strategy.
+        all_levels: Write each level, as NAME.level0, NAME.level1, ...
+        overwrite: Replace files that exist.
     """
-    given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "levels": levels, "input": input,
-             "seed": seed, "device": device, "threads": threads}
-    training, held_out = list(pairs), list(validation)
-    for folder in [path for path in pairs if path.is_dir()]:
-        at = training.index(folder)
-        training[at] = folder / "train.safetensors"
-        if (folder / "validation.safetensors").exists() and not validation:
-            held_out.append(folder / "validation.safetensors")
+    check_output(inputs, output)
 
-    def work(_: Path) -> list[str]:
-        config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
-        result = train_with_progress(training, held_out, out, config, resume)
-        return [f"best validation loss {result.best_loss:.6e} in epoch {result.best_epoch} of {result.epochs}, "
-                f"{result.seconds:.0f} s: {out / 'model.safetensors'}"]
+    def work(path: Path) -> list[str]:
+        from neusub.io import KINDS, load, save
+        from neusub.remeshing import remesh
 
-    return for_each((out,), work)
+        targets = level_files(path, inputs, output, levels if all_levels else None)
+        check_free(targets, overwrite, KINDS)
+        results = remesh(load(path), n_vertices=vertices, n_faces=faces, levels=levels, strategy=strategy, seed=seed)
+        for mesh, place in zip(results[-len(targets) :], targets):
+            save(mesh, place, overwrite=overwrite)
+        base, last = results[0], results[-1]
+        return [*(f"{path}: {line}" for line in last.load_report),
+                f"{path}: {len(base.faces):,} base faces -> {len(last.faces):,}: {targets[-1]}"]
 
-
-@app.command(name="models")
-def models_command() -> int:
-    """List the models that come with neusub, and what each is for."""
-    from neusub.subdivider import Subdivider, model_names
-
-    for name in model_names():
-        card = Subdivider.load(name, device="cpu").card
-        say(f"{name}: {card.get('description', '')} [input: {card['input']}; licence: {card.get('licence', '')}]")
-    return 0
-
-
-# --- shared ------------------------------------------------------------------------------------------------------
-
-
-def train_with_progress(training: list, held_out: list, out: Path, config: TrainingConfig, resume: bool):
-    """`training.train` with a bar that shows the losses and the time left."""
-    from rich.console import Console
-    from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
-
-    from neusub.training import train
-
-    columns = (TextColumn("epoch"), MofNCompleteColumn(), BarColumn(), TimeRemainingColumn(),
-               TextColumn("{task.description}"))
-    with Progress(*columns, console=Console(stderr=True)) as progress:
-        task = progress.add_task("", total=config.epochs)
-
-        def on_epoch(row: dict) -> None:
-            progress.update(task, completed=row["epoch"], description=f"validation {row['validation_loss']:.3e}, "
-                            f"best {row['best_loss']:.3e} (epoch {row['best_epoch']})")
-
-        return train(training, held_out, out, config, resume=resume, on_epoch=on_epoch)
-
-
-def say(line: str, *, error: bool = False) -> None:
-    (sys.stderr if error else sys.stdout).write(f"{line}\n")
-
-
-def check_output(inputs: tuple[Path, ...], output: Path) -> None:
-    """With several inputs the output is a folder, which is made; two inputs never share a name there."""
-    if len(inputs) <= 1:
-        return
-    from neusub.errors import MeshFileError
-    from neusub.io import KINDS
-
-    if output.suffix.lower() in KINDS or output.is_file():
-        raise MeshFileError(f"{output}: with {len(inputs)} inputs the output is a folder. Give one with -o.")
-    names = [path.name for path in inputs]
-    twice = next((name for name in names if names.count(name) > 1), None)
-    if twice:
-        raise MeshFileError(f"{twice}: several inputs have this name and would overwrite each other in {output}.")
-    output.mkdir(parents=True, exist_ok=True)
-
-
-def check_free(paths: list[Path], overwrite: bool, suffixes: tuple[str, ...]) -> None:
-    """No output may exist unless it is to be overwritten; its folder must, and its kind be one that can be written."""
-    from neusub.errors import MeshFileError
-
-    for path in paths:
-        if path.suffix.lower() not in suffixes:
-            raise MeshFileError(f"{path} has the extension {path.suffix!r}. Known are: {', '.join(suffixes)}.")
-        if path.exists() and not overwrite:
-            raise MeshFileError(f"{path} exists. Pass --overwrite to replace it.")
-        if not path.parent.is_dir():
-            raise MeshFileError(f"{path}: the folder {path.parent} does not exist. Make it first.")
-
-
-def for_each(paths: tuple[Path, ...], work: Callable[[Path], list[str]]) -> int:
-    """Do the work for each path, say a line for each that fails; the exit status: 1 if any failed."""
-    from rich.progress import track
-
-    from neusub.errors import NeusubError
-
-    if not paths:
-        say("neusub: give at least one file", error=True)
-        return 2
-    failed = 0
-    for path in track(paths, transient=True) if len(paths) > 1 and sys.stderr.isatty() else paths:
-        try:
-            for line in work(path):
-                say(line)
-        except (NeusubError, ValueError, OSError) as error:
-            failed += 1
-            say(f"neusub: {path}: {type(error).__name__}: {error}", error=True)
-    if failed and len(paths) > 1:
-        say(f"neusub: {failed} of {len(paths)} failed", error=True)
-    return int(failed > 0)
+    return for_each(inputs, work)
 
 
 def main() -> None:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["PRESETS", "TrainingConfig"]
+__all__ = ["PRESETS", "PairConfig", "TrainingConfig"]
 
 
 @dataclass(frozen=True)
@@ -20,6 +20,8 @@ class TrainingConfig:
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     width: int = 32
     features: int = 29  # learned, of each vertex
+    relative: bool = False  # lengths of each half-flap in units of its own mean edge
+    loss: Literal["squared", "distance"] = "squared"  # the paper's, or one that a few bad targets do not carry
     seed: int = 0
     device: str = "auto"
     precision: str = "32-true"  # as Lightning Fabric names it
@@ -38,3 +40,36 @@ PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
 }
+
+
+@dataclass(frozen=True)
+class PairConfig:
+    """How training pairs are made; kept in their files.  Give exactly one of per_mesh and total."""
+
+    per_mesh: int | None = None  # training pairs of each source
+    total: int | None = None  # training pairs of all sources together, spread evenly
+    validation: int = 0  # held out, of all sources together; with seeds of their own
+    vertices: tuple[int, int] = (150, 300)  # of the coarse meshes, both included
+    levels: int = 2
+    strategy: str = "random"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        if (self.per_mesh is None) == (self.total is None):
+            raise ValueError(f"per_mesh = {self.per_mesh}, total = {self.total}: give exactly one.")
+        for name in ("per_mesh", "total", "levels"):
+            value = getattr(self, name)
+            if value is not None and value < 1:
+                raise ValueError(f"{name} = {value}: take at least 1.")
+        if self.validation < 0:
+            raise ValueError(f"validation = {self.validation}: take at least 0.")
+        if not 4 <= self.vertices[0] <= self.vertices[1]:
+            raise ValueError(f"vertices = {self.vertices}: take a range from at least 4 upwards.")
+
+    def counts(self, n_sources: int) -> dict[str, list[int]]:
+        """Pairs of each source, for each split; the first sources get one more where it does not come out even."""
+        def spread(total: int) -> list[int]:
+            return [total // n_sources + (k < total % n_sources) for k in range(n_sources)]
+
+        train = [self.per_mesh] * n_sources if self.per_mesh else spread(self.total or 0)
+        return {"train": train, "validation": spread(self.validation)}

@@ -32,9 +32,10 @@ from neusub.files import replacing
 from neusub.flaps import LevelFlaps, level_flaps
 from neusub.topology import Topology, topology_levels
 
-__all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "save_pairs"]
+__all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "pair_files", "save_pairs"]
 
 FORMAT = "neusub-pairs-1"
+SMOOTH = 1e-5  # distances well below this count squared in the loss "distance"; the unit box's side is 1
 INPUTS = ("on_surface", "decimated")
 
 
@@ -97,7 +98,7 @@ def read_header(path: str | Path) -> dict:
         with safe_open(path, framework="numpy") as file:
             header = json.loads((file.metadata() or {}).get("neusub", "{}"))
     except FileNotFoundError:
-        raise PairFileError(f"{path}: no such file. Make pair files with 'neusub import-pairs'.") from None
+        raise PairFileError(f"{path}: no such file. Make pair files with 'neusub pairs'.") from None
     except (SafetensorError, OSError, ValueError) as error:
         raise PairFileError(f"{path}: not a readable safetensors file ({error}). Make the pairs again.") from None
     if header.get("format") != FORMAT:
@@ -149,6 +150,22 @@ def check_pair(pair: Pair) -> None:
     if tuple(sizes) != pair.level_sizes or len(pair.targets) != sizes[-1]:
         raise PairFileError(f"pair {pair.name!r}: its faces refine to {sizes} vertices, its targets have "
                             f"{list(pair.level_sizes)} ({len(pair.targets)} rows).")
+
+
+def pair_files(folder: str | Path) -> tuple[list[Path], list[Path]]:
+    """Training and validation files of a folder that `make_pairs` or `import_pairs` wrote.  Raises: PairFileError."""
+    folder = Path(folder)
+    try:
+        listing = json.loads((folder / "manifest.json").read_text())
+        return tuple([folder / name for name in listing[split]] for split in ("train", "validation"))  # type: ignore
+    except FileNotFoundError:
+        train, validation = folder / "train.safetensors", folder / "validation.safetensors"
+        if not train.exists():
+            raise PairFileError(f"{folder}: neither manifest.json nor train.safetensors is there. Make pair files with "
+                                "'neusub pairs' or 'neusub import-pairs'.") from None
+        return [train], [validation] if validation.exists() else []
+    except (ValueError, KeyError) as error:
+        raise PairFileError(f"{folder / 'manifest.json'}: not a manifest ({error!r}). Make the pairs again.") from None
 
 
 def file_hash(path: str | Path) -> str:
@@ -230,9 +247,17 @@ class Batch:
     targets: Float[torch.Tensor, "nV_L 3"]
     weights: list[Float[torch.Tensor, "nV_l 1"]]  # of each vertex's squared error: 1 / (coordinates of its mesh)
 
-    def loss(self, outputs: list[torch.Tensor]) -> torch.Tensor:
-        """Sum over levels of the mean squared coordinate error, summed over the meshes (paper, section 4)."""
-        terms = [((out - self.targets[: len(out)]).square() * w).sum() for out, w in zip(outputs, self.weights)]
+    def loss(self, outputs: list[torch.Tensor], kind: str = "squared") -> torch.Tensor:
+        """Sum over levels of a mesh's mean error, summed over the meshes.
+
+        kind: "squared", of the coordinates (paper, section 4); "distance", a third of the distance, smooth near zero.
+        """
+        terms = []
+        for out, weight in zip(outputs, self.weights):
+            squared = (out - self.targets[: len(out)]).square()
+            if kind == "distance":
+                squared = (squared.sum(1, keepdim=True) + SMOOTH**2).sqrt() - SMOOTH
+            terms.append((squared * weight).sum())
         return torch.stack(terms).sum()
 
 

@@ -17,6 +17,7 @@ from jaxtyping import Bool, Float
 from torch import Tensor, nn
 from torch.nn.functional import linear
 
+from neusub.bounds import bounded, heights_of
 from neusub.flaps import FlapGroups, LevelFlaps, gather_corners, pool, sum_slots
 
 __all__ = ["HalfFlapMLP", "NeuralSubdivision", "differential_coordinates"]
@@ -59,6 +60,13 @@ def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"],
     return torch.stack([x, torch.linalg.cross(z, x, dim=0), z]), (has_edge & has_normal.any(0))[0]
 
 
+def sizes(edges: Float[Tensor, "3 3 n"]) -> Float[Tensor, " n"]:
+    """Mean length of the five edges of each half-flap, as a constant; 1 where all its vertices coincide."""
+    e1, e2, e3 = edges.detach()
+    size = torch.linalg.norm(torch.stack([e1, e2, e3, e2 - e1, e3 - e1]), dim=1).mean(0)
+    return torch.where(size > 0, size, 1)
+
+
 def in_frames(vectors: Float[Tensor, "k 3 n"], axes: Float[Tensor, "3 3 n"]) -> Float[Tensor, "3*k n"]:
     """Coordinates of k vectors of each half-flap in its frame."""
     return (vectors[:, None] * axes).sum(2).flatten(0, 1)
@@ -85,21 +93,6 @@ def differential_coordinates(
     return torch.cat(parts)
 
 
-def bounded(
-    move: Float[Tensor, "m 3"], groups: FlapGroups, edges: Float[Tensor, "3 3 n"], bound: float
-) -> Float[Tensor, "m 3"]:
-    """Displacements no longer than `bound` times the shortest edge of the half-flaps that gave them.
-
-    Where a thin triangle or a short edge meets weights that never saw one, the displacement exceeds the edge and the
-    surface folds; on meshes like the training's this changes next to nothing.
-    """
-    e1, e2, e3 = edges
-    squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).amin(0)
-    shortest = torch.segment_reduce(squared, "min", offsets=groups.offsets).sqrt()
-    length = torch.linalg.norm(move, dim=1).clamp(min=torch.finfo(move.dtype).tiny)
-    return move * (bound * shortest / length).clamp(max=1)[:, None]
-
-
 # --- the network -------------------------------------------------------------------------------------------------
 
 
@@ -109,9 +102,10 @@ class HalfFlapMLP(nn.Module):
     The first layer's columns go vertex by vertex: value(v0), e1, value(v1), e2, value(v2), e3, value(v3).
     """
 
-    def __init__(self, channels: int, width: int, features: int, *, vectors: bool):
+    def __init__(self, channels: int, width: int, features: int, *, vectors: bool, relative: bool = False):
         super().__init__()
         self.channels, self.vectors = channels, vectors  # of each corner's value; whether it turns with the frame
+        self.relative = relative
         self.bound: float | None = None
         self.first = nn.Linear(9 + 4 * channels, width)
         self.hidden = nn.Linear(width, width)
@@ -121,9 +115,11 @@ class HalfFlapMLP(nn.Module):
             nn.init.zeros_(layer.bias)
 
     def forward(
-        self, groups: FlapGroups, positions: Float[Tensor, "nV 3"], values: Float[Tensor, "nV c"], features: bool = True
-    ) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m f"] | None]:
-        """Mean displacement, in the axes of `positions`, and mean features of each group."""
+        self, groups: FlapGroups, positions: Float[Tensor, "nV 3"], values: Float[Tensor, "nV c"],
+        heights: Float[Tensor, " nV"] | None = None, features: bool = True,
+    ) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m f"] | None, Float[Tensor, " m"] | None]:
+        """Mean displacement of each group, in the axes of `positions`, its mean features, and, where displacements are
+        bounded, its height: of its vertex (`heights_of`), or from the `heights` of its two ends."""
         columns = self.first.weight.split([self.channels, 3] * 3 + [self.channels], dim=1)
         edge_columns = torch.cat(columns[1::2], dim=1)
         value_columns = columns[::2]
@@ -131,18 +127,23 @@ class HalfFlapMLP(nn.Module):
             bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
             values = linear(values, torch.cat(value_columns), bias).view(-1, len(self.first.bias))
         parts = list(groups.chunks()) if not torch.is_grad_enabled() else [groups]
-        results = [self._part(part, positions, values, edge_columns, value_columns, features) for part in parts]
-        moves, learned = zip(*results)
-        return torch.cat(moves), torch.cat(learned) if features else None
+        results = [self._part(part, positions, values, heights, edge_columns, value_columns) for part in parts]
+        moves, hidden, high = zip(*results)
+        # The last layer is linear: the mean of its features is its value at the mean.
+        learned = linear(torch.cat(hidden), self.last.weight[3:], self.last.bias[3:]) if features else None
+        return torch.cat(moves), learned, None if self.bound is None else torch.cat(high)
 
-    def _part(self, groups, positions, values, edge_columns, value_columns, features):
+    def _part(self, groups, positions, values, heights, edge_columns, value_columns):
         edges = edge_vectors(groups, positions)
         axes, defined = local_frames(edges)
+        unit_axes, size = axes, sizes(edges) if self.relative else None
+        if size is not None:
+            unit_axes = axes / size
         if self.vectors:
-            inputs = in_frames(torch.cat([edges, gather_corners(groups, values)]), axes)
+            inputs = in_frames(torch.cat([edges, gather_corners(groups, values)]), unit_axes)
             hidden = linear(inputs.T, torch.cat([edge_columns, *value_columns], dim=1), self.first.bias)
         else:
-            hidden = torch.addmm(sum_slots(groups, values), in_frames(edges, axes).T, edge_columns.T)
+            hidden = torch.addmm(sum_slots(groups, values), in_frames(edges, unit_axes).T, edge_columns.T)
         hidden = self.hidden(hidden.relu_()).relu_()
         count = groups.offsets.diff().to(hidden.dtype)[:, None]
         if not defined.all():  # half-flaps without a frame are left out of the mean
@@ -150,24 +151,32 @@ class HalfFlapMLP(nn.Module):
             axes = torch.where(defined, axes, 0)
             count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
         local = linear(hidden, self.last.weight[:3], self.last.bias[:3]).T.contiguous()
+        if size is not None:
+            local = local * size
         move = (local[:, None] * axes).sum(0)
-        # The last layer is linear: the mean of its features is its value at the mean.
-        learned = linear(pool(groups, hidden) / count, self.last.weight[3:], self.last.bias[3:]) if features else None
         move = pool(groups, move.T.contiguous()) / count
-        return move if self.bound is None else bounded(move, groups, edges, self.bound), learned
+        hidden = pool(groups, hidden) / count
+        if self.bound is None:
+            return move, hidden, None
+        if heights is None:
+            heights = heights_of(groups, edges, axes)
+        else:
+            heights = torch.segment_reduce(heights[groups.corners[:, 0]], "max", offsets=groups.offsets)
+        return bounded(move, groups, edges, heights, self.bound), hidden, heights
 
 
 class NeuralSubdivision(nn.Module):
     """The paper's network: modules I, V and E, shared over all half-flaps and levels.
 
-    bound (not in the paper, for use and not for training): see `bounded`; None leaves the displacements as they are.
+    Not in the paper: relative, lengths of each half-flap are in units of its own mean edge, so that the network knows
+    no scale; bound, for use and not for training, see `bounds.py` (None leaves the displacements as they are).
     """
 
-    def __init__(self, width: int = 32, features: int = 29, bound: float | None = None):
+    def __init__(self, width: int = 32, features: int = 29, bound: float | None = None, relative: bool = False):
         super().__init__()
-        self.initial = HalfFlapMLP(3, width, features, vectors=True)
-        self.vertex = HalfFlapMLP(features, width, features, vectors=False)
-        self.edge = HalfFlapMLP(features, width, features, vectors=False)
+        self.initial = HalfFlapMLP(3, width, features, vectors=True, relative=relative)
+        self.vertex = HalfFlapMLP(features, width, features, vectors=False, relative=relative)
+        self.edge = HalfFlapMLP(features, width, features, vectors=False, relative=relative)
         for module in (self.initial, self.vertex, self.edge):
             module.bound = bound
 
@@ -176,14 +185,14 @@ class NeuralSubdivision(nn.Module):
     ) -> list[Float[Tensor, "nV_l 3"]]:
         """Vertex positions of levels 0 .. len(levels); at least one level."""
         first = levels[0].by_vertex
-        move, values = self.initial(first, positions, differential_coordinates(first, positions))
+        move, values, _ = self.initial(first, positions, differential_coordinates(first, positions))
         positions = positions + move
         outputs = [positions]
         for k, level in enumerate(levels):
-            move, values = self.vertex(level.by_vertex, positions, values)
+            move, values, heights = self.vertex(level.by_vertex, positions, values)
             positions = positions + move
             is_last = k + 1 == len(levels)
-            move, added = self.edge(level.by_edge, positions, values, features=not is_last)
+            move, added, _ = self.edge(level.by_edge, positions, values, heights, features=not is_last)
             midpoints = (positions[level.edges[:, 0]] + positions[level.edges[:, 1]]) / 2
             positions = torch.cat([positions, midpoints + move])
             outputs.append(positions)

@@ -72,7 +72,8 @@ class Subdivider:
         card = {key: value for key, value in header.items() if key not in ("format", "version")}
         architecture = card.get("architecture", {})
         try:
-            network = NeuralSubdivision(architecture["width"], architecture["features"], architecture.get("bound"))
+            network = NeuralSubdivision(architecture["width"], architecture["features"], architecture.get("bound"),
+                                        architecture.get("relative", False))
             network.load_state_dict(weights)
         except (KeyError, RuntimeError) as error:
             raise ModelError(f"{path}: the weights do not fit the architecture {architecture} ({error}).") from None

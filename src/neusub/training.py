@@ -80,7 +80,7 @@ class _Run:
         pairs = read_pairs(train_files, config)
         fabric = Fabric(accelerator=resolve_device(config.device), devices=1, precision=config.precision)  # type: ignore[arg-type]
         torch.manual_seed(config.seed)
-        network = NeuralSubdivision(config.width, config.features)
+        network = NeuralSubdivision(config.width, config.features, relative=config.relative)
         adam = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
         model, optimizer = fabric.setup(network, adam)
         return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State())
@@ -90,7 +90,7 @@ class _Run:
         began = time.perf_counter()
         set_rate(self.optimizer, self.config, self.state.epoch)
         training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch)
-        loss = validate(self.model, validation) if validation else training_loss
+        loss = validate(self.model, validation, self.config.loss) if validation else training_loss
         if not np.isfinite(training_loss + loss):
             raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Train in another folder at "
                                 f"a learning rate below {self.config.learning_rate}, or look for broken pairs.")
@@ -103,12 +103,12 @@ class _Run:
 
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
-        network = NeuralSubdivision(self.config.width, self.config.features, BOUND)
+        network = NeuralSubdivision(self.config.width, self.config.features, BOUND, self.config.relative)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
         card = {
             "architecture": {"kind": "half-flap", "width": self.config.width, "features": self.config.features,
-                             "bound": BOUND},
+                             "bound": BOUND, "relative": self.config.relative},
             "input": self.config.input,
             "scale": {"box": 1.0, "edge": mean_coarse_edge(self.pairs)},
             "training": {
@@ -190,7 +190,7 @@ def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
     total, count = torch.zeros((), device=fabric.device, dtype=torch.float64), 0
     for batch, meshes in batches.epoch(epoch):
         optimizer.zero_grad(set_to_none=True)
-        loss = batch.loss(model(batch.positions, batch.levels)) / meshes
+        loss = batch.loss(model(batch.positions, batch.levels), batches.config.loss) / meshes
         fabric.backward(loss)
         optimizer.step()
         total += loss.detach() * meshes
@@ -198,10 +198,10 @@ def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
     return float(total) / count
 
 
-def validate(model, batches: list[Batch]) -> float:
+def validate(model, batches: list[Batch], loss: str = "squared") -> float:
     """Mean over the meshes of the loss of one."""
     with torch.no_grad():
-        return float(np.mean([float(batch.loss(model(batch.positions, batch.levels))) for batch in batches]))
+        return float(np.mean([float(batch.loss(model(batch.positions, batch.levels), loss)) for batch in batches]))
 
 
 def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:

@@ -143,7 +143,7 @@ def place(work, user, h, end):
     cost = place_edge(code, user, surface.positions[j], surface.positions[k], quadric, position)
     if end >= 0:
         position[:] = surface.positions[j if end == 0 else k]
-        if code == QUADRIC or code == REMOVAL:
+        if code in (QUADRIC, REMOVAL):
             cost = evaluate(quadric, position[0], position[1], position[2])
     return cost
 

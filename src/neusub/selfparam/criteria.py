@@ -9,7 +9,7 @@ from numba import njit
 
 from neusub.selfparam.surface import COMPILED
 
-__all__ = ["REASONS", "Criteria"]
+__all__ = ["REASONS", "Criteria", "refusals"]
 
 # Codes of the kernels are indices into this tuple; 0 is a legal collapse.
 REASONS = (
@@ -52,6 +52,11 @@ class Criteria:
         off = (-2.0, -1.0)
         normal, quality, plane = astuple(self)
         return np.array([off[0] if normal is None else normal, off[1] if quality is None else quality, float(plane)])
+
+
+def refusals(counts: dict[str, int]) -> str:
+    """The reasons that came up, in words, for a message."""
+    return ", ".join(f"{reason} {count}" for reason, count in counts.items() if count and reason != "legal") or "none"
 
 
 @njit(**COMPILED)
