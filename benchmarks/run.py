@@ -1,4 +1,4 @@
-"""All benchmarks, one after the other: `make bench`.  Words after the command go to the network's, e.g. --large."""
+"""All benchmarks, one after the other: `make bench`.  Words after the command, such as --large, go to the last two."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 
 if __name__ == "__main__":
-    for name in ("startup", "schemes", "network"):
+    for name in ("startup", "schemes", "network", "selfparam"):
         print(f"--- {name}", flush=True)
-        words = sys.argv[1:] if name == "network" else []
+        words = sys.argv[1:] if name in ("network", "selfparam") else []
         subprocess.run([sys.executable, str(Path(__file__).with_name(f"{name}.py")), *words], check=True)

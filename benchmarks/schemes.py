@@ -29,8 +29,8 @@ def shortest(work: Callable[[], object], repeats: int) -> float:
     return min(times)
 
 
-def sphere(levels: int) -> tuple[np.ndarray, np.ndarray]:
-    solid = pv.Icosahedron()
+def sphere(levels: int, solid: pv.PolyData | None = None) -> tuple[np.ndarray, np.ndarray]:
+    solid = solid or pv.Icosahedron()
     vertices = np.asarray(solid.points, dtype=np.float64)
     faces = np.asarray(solid.regular_faces, dtype=np.int64)
     for _ in range(levels):

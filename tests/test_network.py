@@ -84,6 +84,84 @@ def test_renumbering_the_vertices_renumbers_the_output():
     assert np.allclose(run(network, vertices[order], rank[faces])[0].numpy(), level0[order], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("make", [lambda: shapes.torus(9, 7), lambda: shapes.grid(6, 5)])
+def test_chunks_do_not_change_the_output(make, monkeypatch):
+    vertices, faces = make()
+    network = random_network()
+    whole = run(network, bumpy(vertices), faces)
+    monkeypatch.setattr(neusub.flaps, "CHUNK", 10)
+    for a, b in zip(whole, run(network, bumpy(vertices), faces)):
+        assert torch.allclose(a, b, rtol=0, atol=1e-12)
+
+
+@pytest.mark.parametrize("make", [lambda: shapes.torus(5, 4), lambda: shapes.grid(3, 3)])
+def test_gradients_equal_finite_differences(make):
+    vertices, faces = make()
+    network = random_network()
+    levels = flaps_of(faces, len(vertices), 2)
+    start = torch.tensor(bumpy(vertices))
+    parameters = dict(network.named_parameters())
+    direction = {key: torch.randn_like(value) for key, value in parameters.items()}
+
+    def loss():
+        return sum(out.square().mean() for out in network(start, levels))
+
+    loss().backward()
+    slope = sum(float((parameters[key].grad * direction[key]).sum()) for key in parameters)
+    step, values = 1e-8, []  # so small that hardly any ReLU changes sides
+    for sign in (1, -1):
+        with torch.no_grad():
+            for key, value in parameters.items():
+                value += sign * step * direction[key]
+            values.append(float(loss()))
+            for key, value in parameters.items():
+                value -= sign * step * direction[key]
+    assert slope == pytest.approx((values[0] - values[1]) / (2 * step), rel=1e-5)
+
+
+def test_differential_coordinates_vanish_on_a_regular_flat_patch_up_to_its_straight_border():
+    vertices, faces = shapes.grid(6, 6)
+    flaps = flaps_of(faces, len(vertices), 1)[0]
+    delta = differential_coordinates(flaps.by_vertex, torch.tensor(vertices)).numpy()
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    corner = (np.isclose(vertices, low) | np.isclose(vertices, high))[:, :2].all(axis=1)
+    assert np.abs(delta[~corner]).max() < 1e-12
+
+
+def test_a_flat_open_patch_moves_alike_inside_and_along_its_border():
+    vertices, faces = shapes.grid(9, 9)
+    network = random_network()
+    moved = run(network, vertices, faces, 1)[0].numpy() - vertices
+    x, y = vertices[:, 0], vertices[:, 1]
+    step = np.ptp(x) / (len(np.unique(x)) - 1)
+    inside = (x > x.min() + 1.5 * step) & (x < x.max() - 1.5 * step) & (y > y.min() + 1.5 * step) & (
+        y < y.max() - 1.5 * step)
+    border = (y < y.min() + 0.5 * step) & (x > x.min() + 2.5 * step) & (x < x.max() - 2.5 * step)
+    # A border vertex averages over 4 half-flaps of the 6 directions, so only the normal part is bound to be close.
+    assert np.ptp(moved[inside], axis=0).max() < 1e-12
+    assert np.ptp(moved[border], axis=0).max() < 1e-12
+
+
+def degenerate_meshes():
+    yield "collinear face", shapes.collinear_face()
+    yield "coincident vertices", shapes.coincident_vertices()
+    vertices, faces = shapes.icosahedron()
+    yield "a point", (np.zeros_like(vertices), faces)
+    yield "a line", (vertices * [1, 0, 0], faces)
+    yield "folded flat", (vertices * [1, 1, 0], faces)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("name, mesh", degenerate_meshes(), ids=lambda value: value if isinstance(value, str) else "")
+def test_degenerate_faces_give_finite_output_and_gradients(name, mesh, dtype):
+    vertices, faces = mesh
+    network = random_network(dtype=dtype)
+    assert all(torch.isfinite(out).all() for out in run(network, vertices, faces))
+    levels = flaps_of(faces, len(vertices))
+    sum(out.square().mean() for out in network(torch.tensor(vertices, dtype=dtype), levels)).backward()
+    assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None)
+
+
 def test_a_bound_keeps_each_displacement_below_its_share_of_the_shortest_edge():
     vertices, faces = shapes.torus(9, 7)
     free = run(random_network(), vertices, faces, 1)[0].numpy()

@@ -144,9 +144,10 @@ def render_command(
     wireframe: bool = False,
     reference: Path | None = None,
     titles: tuple[str, ...] = (),
+    map: bool = False,
     overwrite: bool = False,
 ) -> int:
-    """Draw meshes side by side into a PNG, off-screen.
+    """Draw meshes side by side into a PNG, off-screen; or the map of a decimation.
 
     Args:
         meshes: Mesh files.
@@ -155,10 +156,19 @@ def render_command(
         wireframe: Draw the edges.
         reference: Colour by the distance to this mesh.
         titles: One for each mesh; the file names by default.
+        map: The file is a map ('neusub decimate --map-file'): draw the fine mesh coloured by coarse face, the
+            checkerboard of the map, and the charts of one collapse before and after.
         overwrite: Replace a file that exists.
     """
     def work(path: Path) -> list[str]:
         check_free([output], overwrite, (".png",))
+        if map:
+            from neusub.map_pictures import render_map
+            from neusub.selfparam import SelfParameterization
+
+            if len(meshes) != 1:
+                raise ValueError(f"{len(meshes)} files with --map: give one map.")
+            return [f"{render_map(SelfParameterization.load(meshes[0]), path)}"]
         from neusub.io import load
         from neusub.pictures import render
 

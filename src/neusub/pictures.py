@@ -69,7 +69,7 @@ def render(
                 if titles is not None:
                     plotter.add_text(titles[k], position="lower_edge", font_size=9, color="black")
                 first = meshes[k - k % columns]
-                _frame(plotter, first if _overlap(first, mesh) else mesh, camera, up, panel)
+                aim_camera(plotter, first if _overlap(first, mesh) else mesh, camera, up, panel)
             picture = plotter.screenshot(return_img=True)
         finally:
             plotter.close()
@@ -139,7 +139,7 @@ def _texture(mesh: Mesh) -> pyvista.Texture | None:
     return None
 
 
-def _frame(plotter: pyvista.Plotter, mesh: Mesh, camera: tuple, up: tuple, panel: tuple[int, int]) -> None:
+def aim_camera(plotter: pyvista.Plotter, mesh: Mesh, camera: tuple, up: tuple, panel: tuple[int, int]) -> None:
     """Look at the mesh's box from the camera's direction, the box just inside the panel."""
     low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
     centre = (low + high) / 2

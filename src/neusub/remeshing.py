@@ -54,7 +54,7 @@ def on_surface(result: SelfParameterization, level: int) -> Mesh:
     under, _ = result.to_fine(refined.owner, refined.corners.mean(axis=1))
     uv = uv_faces = None
     report: tuple[str, ...] = ()
-    if fine.uv is not None:
+    if fine.uv is not None and fine.uv_faces is not None:
         uv, uv_faces, crosses = result.transfer_corners(fine.uv, fine.uv_faces, level)
         if crosses.any():
             report = (f"{int(crosses.sum())} of {len(crosses)} faces lie across a seam of the texture, the first is "

@@ -27,6 +27,7 @@ from neusub.selfparam.surface import (
     after,
     before,
     collapse_edge,
+    copy_row,
     edge_of,
     gather_ring,
     has_repetition,
@@ -142,7 +143,8 @@ def place(work, user, h, end):
     code = work.options[0]
     cost = place_edge(code, user, surface.positions[j], surface.positions[k], quadric, position)
     if end >= 0:
-        position[:] = surface.positions[j if end == 0 else k]
+        for axis in range(3):
+            position[axis] = surface.positions[j if end == 0 else k, axis]
         if code in (QUADRIC, REMOVAL):
             cost = evaluate(quadric, position[0], position[1], position[2])
     return cost
@@ -228,8 +230,9 @@ def merge(work, user, h, m, split, gap):
         take_out(queue, edge_of(surface, after(twin)))
         take_out(queue, edge_of(surface, before(twin)))
     collapse_edge(surface, h, ring, m, split, gap)
-    surface.positions[j] = ring.points[m + 2]
-    work.quadrics[j] += work.quadrics[k]
+    copy_row(surface.positions, j, ring.points, m + 2)
+    for term in range(10):
+        work.quadrics[j, term] += work.quadrics[k, term]
     surface.is_fixed[j] |= surface.is_fixed[k]
     work.sizes[0] -= 1
     work.sizes[1] -= 2 if twin >= 0 else 1

@@ -206,5 +206,5 @@ def sharp_boundary_vertices(positions: ndarray, topology: Topology, angle: float
 
 def announce_compilation() -> None:
     """Say so where the kernels are about to be compiled, once on a machine, which takes some seconds."""
-    if not run.signatures and not any(Path(run.stats.cache_path).glob("collapse.run-*.nbi")):
+    if not run.signatures and not any(Path(run.stats.cache_path or ".").glob("collapse.run-*.nbi")):
         logging.getLogger("neusub").warning("neusub: compiling the decimation kernels, once on this machine ...")

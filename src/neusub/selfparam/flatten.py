@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.selfparam.surface import COMPILED
+from neusub.selfparam.surface import COMPILED, copy_row
 
 __all__ = ["Solver", "flatten_after", "flatten_before", "make_solver"]
 
@@ -193,13 +193,13 @@ def flatten_free(solver, points, uv, m, split, gap, has_f1, merged, kept):
     for v in range(n):
         uv[v, 0], uv[v, 1] = u[v].real, u[v].imag
     if merged:
-        uv[m + 1] = uv[m]
+        copy_row(uv, m + 1, uv, m)
 
 
 @njit(**COMPILED)
-def flatten_along_boundary(solver, points, uv, m, split, gap, kept):
+def flatten_along_boundary(solver, points, uv, m, split, gap, has_f1, merged, kept):
     """Ring of a boundary edge j -> k: a = r[gap] at 0, b = r[gap + 1] at 1, j and k on the line between them."""
-    n = assemble(solver.energy, points, m, split, gap, False, False, kept)
+    n = assemble(solver.energy, points, m, split, gap, has_f1, merged, kept)
     energy, real, right, free = solver.energy, solver.real, solver.right, solver.free
     a, b = gap, (gap + 1) % m
     count = 0
@@ -283,7 +283,7 @@ def flatten_before(solver, ring, m, split, gap, has_f1, merged, kept, conformal)
     if not conformal and not merged and (gap < 0 or along_boundary):
         flatten_tutte(ring.uv, m, split, has_f1, along_boundary, gap)
     elif along_boundary:
-        flatten_along_boundary(solver, ring.points, ring.uv, m, split, gap, kept)
+        flatten_along_boundary(solver, ring.points, ring.uv, m, split, gap, has_f1, merged, kept)
     else:
         flatten_free(solver, ring.points, ring.uv, m, split, gap, has_f1, merged, kept)
 
@@ -315,7 +315,7 @@ def flatten_after(ring, m, gap, along_boundary, kept, conformal):
     """Place of the merged vertex: at that of `kept` (a local index), or where the conformal energy is least."""
     uv, i = ring.uv, m + 2
     if kept >= 0:
-        uv[i] = uv[kept]
+        copy_row(uv, i, uv, kept)
         return
     if conformal:
         cotangents(ring.points, ring.weights, m, gap)

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.selfparam.surface import COMPILED
+from neusub.selfparam.surface import COMPILED, copy_row
 
 __all__ = ["Charts", "go_down", "go_up", "grown", "make_charts", "record"]
 
@@ -73,7 +73,8 @@ def record(charts, surface, ring, h, m, split, gap):
     c, version = charts.used
     at = charts.slots[c]
     charts.split[c], charts.first[c], charts.slots[c + 1] = split, version, at + m + 2
-    charts.uv[at + c : at + c + m + 3] = ring.uv[: m + 3]
+    for v in range(m + 3):
+        copy_row(charts.uv, at + c + v, ring.uv, v)
     twin = surface.twins[h]
     for t in range(m + 2):
         g = ring.halfedges[t] if t < m else (h if t == m else twin)

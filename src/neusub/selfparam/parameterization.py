@@ -8,10 +8,10 @@ from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Bool, Float64, Int64
 from numpy import ndarray
 
 from neusub import __version__
@@ -19,9 +19,12 @@ from neusub.errors import ParameterizationError
 from neusub.files import replacing
 from neusub.mesh import Mesh
 from neusub.selfparam.mapping import Charts, go_down, go_up
-from neusub.topology import radix_order, refine_faces, topology_levels
+from neusub.topology import radix_order, topology_levels
 
-__all__ = ["SelfParameterization", "refined_points"]
+if TYPE_CHECKING:
+    from neusub.selfparam.report import MapReport
+
+__all__ = ["Refinement", "SelfParameterization", "refined_points", "refinement"]
 
 FORMAT = "neusub-map-1"
 CHUNK = 4096  # points a thread takes at a time
@@ -98,6 +101,28 @@ class SelfParameterization:
         at, barycentric, _ = refined_points(self.faces, len(self.decimated), levels)
         faces, barycentric = self.to_fine(at, barycentric)
         return weighted(values, self.fine.faces[faces], barycentric)
+
+    def transfer_corners(
+        self, uv: Float64[ndarray, "nT k"], uv_faces: Int64[ndarray, "nF 3"], levels: int = 0
+    ) -> tuple[Float64[ndarray, "nT_L k"], Int64[ndarray, "nF_L 3"], Bool[ndarray, " nF_L"]]:
+        """A signal on the fine corners -> on the refinement's corners; see `signals.transfer_corners`."""
+        from neusub.selfparam.signals import transfer_corners
+
+        return transfer_corners(self, uv, uv_faces, levels)
+
+    def bake(
+        self, texture: ndarray | bytes, levels: int = 0, *, density: float = 1.0
+    ) -> tuple[ndarray, Float64[ndarray, "nT_L 2"], Int64[ndarray, "nF_L 3"]]:
+        """The fine mesh's texture, resampled where faces of the refinement cross a seam; see `baking.bake`."""
+        from neusub.selfparam.baking import bake
+
+        return bake(self, texture, levels, density=density)
+
+    def report(self, levels: int = 2) -> MapReport:
+        """Distortion, flips, refusals and the coarse triangles in numbers; see `report.map_report`."""
+        from neusub.selfparam.report import map_report
+
+        return map_report(self, levels)
 
     # --- files ---
 
@@ -189,18 +214,29 @@ def corner_points(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> tuple[ndarr
     return corner // 3, np.eye(3)[corner % 3]
 
 
-def refined_points(
-    faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int
-) -> tuple[Int64[ndarray, " nV_L"], Float64[ndarray, "nV_L 3"], tuple[int, ...]]:
-    """The vertices of a midpoint refinement as points of the coarse faces, and how many there are at each level.
+class Refinement(NamedTuple):
+    """A midpoint refinement as points of the coarse faces; numbered as `topology.py` says, coordinates exact."""
 
-    Numbered as `topology.py` says.  Each point's coordinates are halves, quarters, ...: exact.
+    at: ndarray  # (nV_L,) int64: a coarse face that has the vertex
+    barycentric: ndarray  # (nV_L, 3) float64: the vertex in that face
+    sizes: tuple[int, ...]  # vertices at each level
+    faces: ndarray  # (nF_L, 3) int64: the refined faces' vertices
+    owner: ndarray  # (nF_L,) int64: the coarse face that each lies in
+    corners: ndarray  # (nF_L, 3, 3) float64: barycentric coordinates in the owner, of each corner
+
+
+def refinement(faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int) -> Refinement:
+    """The `levels`-th midpoint refinement; each coordinate is a sum of halves, quarters, ...: exact.
+
+    Raises: ParameterizationError for a negative level.
     """
+    if levels < 0:
+        raise ParameterizationError(f"levels = {levels}: take 0 or more.")
     at, barycentric = corner_points(faces, n_vertices)
-    topologies, _ = topology_levels(faces, n_vertices, levels)
+    topologies, refined = topology_levels(faces, n_vertices, levels)
     sizes = [n_vertices]
-    owner = np.arange(len(faces))  # the coarse face of each face
-    corners = np.broadcast_to(np.eye(3), (len(faces), 3, 3))  # each face's corners in its owner
+    owner = np.arange(len(faces))
+    corners = np.broadcast_to(np.eye(3), (len(faces), 3, 3))
     for topology in topologies:
         halfedge = topology.edge_halfedges.max(axis=1)
         face, k = halfedge // 3, halfedge % 3
@@ -212,4 +248,11 @@ def refined_points(
         corners = np.concatenate([np.stack(block, axis=1) for block in
                                   ((a, ab, ca), (b, bc, ab), (c, ca, bc), (bc, ca, ab))])
         owner = np.concatenate([owner] * 4)
-    return at, barycentric, tuple(sizes)
+    return Refinement(at, barycentric, tuple(sizes), refined, owner, corners)
+
+
+def refined_points(
+    faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int
+) -> tuple[Int64[ndarray, " nV_L"], Float64[ndarray, "nV_L 3"], tuple[int, ...]]:
+    """The vertices of a midpoint refinement as points of the coarse faces, and how many there are at each level."""
+    return refinement(faces, n_vertices, levels)[:3]

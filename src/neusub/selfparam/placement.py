@@ -93,7 +93,8 @@ def place_edge(code, user, a, b, quadric, position):
         return cost
     if code == REMOVAL:
         at_a, at_b = evaluate(quadric, a[0], a[1], a[2]), evaluate(quadric, b[0], b[1], b[2])
-        position[:] = a if at_a <= at_b else b
+        for axis in range(3):
+            position[axis] = a[axis] if at_a <= at_b else b[axis]
         return min(at_a, at_b)
     if code == USER:
         return user(a, b, quadric, position)
