@@ -1,10 +1,22 @@
-"""What tests share: where the reference data lies, and the skip that says it is absent."""
+"""What tests share: fresh kernels, where the reference data lies, and the skip that says it is absent."""
 
 from pathlib import Path
 
 import pytest
 
 SHARED = Path(__file__).parents[2] / "shared"
+KERNELS = Path(__file__).parents[1] / "src" / "neusub" / "selfparam"
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """numba compiles a kernel anew when its own file has changed, but not when a kernel that it calls has: compile all
+    of them anew where any file is newer than what is cached."""
+    if hasattr(config, "workerinput"):
+        return  # a worker of pytest-xdist: the controller has done it before it started one
+    cached = {path: path.stat().st_mtime for path in (KERNELS / "__pycache__").glob("*.nb[ic]")}
+    if cached and max(path.stat().st_mtime for path in KERNELS.glob("*.py")) > min(cached.values()):
+        for path in cached:
+            path.unlink(missing_ok=True)
 
 
 @pytest.fixture(scope="session")

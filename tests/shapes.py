@@ -128,6 +128,92 @@ def uv_box() -> dict[str, ndarray]:
     }
 
 
+# Large enough to decimate; the last six change any shape.
+
+
+def disc(levels: int = 3) -> Shape:
+    """Flat and round, normals +z: its boundary turns by the same few degrees at every vertex."""
+    vertices, faces = refined(cone(8), levels)
+    vertices = vertices * [1, 1, 0]
+    on_border = build_topology(faces, len(vertices)).is_boundary_vertex
+    vertices[on_border] /= np.linalg.norm(vertices[on_border], axis=1, keepdims=True)
+    return vertices, faces
+
+
+def spiral_stair(turns: float = 1.25, levels: int = 1) -> Shape:
+    """A fan that winds more than once around its boundary vertex, climbing: flat, it would lie upon itself."""
+    n = round(8 * turns) + 1
+    u = 2 * np.pi * turns * np.linspace(0, 1, n)
+    vertices = np.concatenate([np.stack([np.cos(u), np.sin(u), 0.2 * u], axis=1), [[0, 0, 0.1 * u[-1]]]])
+    faces = np.stack([np.arange(n - 1), np.arange(1, n), np.full(n - 1, n)], axis=1)
+    return refined((vertices, faces), levels)
+
+
+def refined(shape: Shape, levels: int = 1) -> Shape:
+    """Midpoint subdivision: the same surface with more faces."""
+    vertices, faces = shape
+    for _ in range(levels):
+        topology = build_topology(faces, len(vertices))
+        vertices = np.concatenate([vertices, vertices[topology.edges].mean(axis=1)])
+        faces = refine_faces(topology)
+    return vertices, faces
+
+
+def bumpy(shape: Shape, size: float = 0.2, seed: int = 0) -> Shape:
+    """Every vertex moved at random, by up to `size` of the shortest edge, so that no two edges are alike."""
+    vertices, faces = shape
+    edges = vertices[faces] - vertices[faces[:, [1, 2, 0]]]
+    reach = size * np.sqrt((edges**2).sum(axis=2).min())
+    direction = np.random.default_rng(seed).normal(size=vertices.shape)
+    return vertices + reach * direction / np.linalg.norm(direction, axis=1, keepdims=True).clip(1), faces
+
+
+def stretched(shape: Shape, times: float = 50.0) -> Shape:
+    """So much longer along a diagonal of space."""
+    vertices, faces = shape
+    axis = np.array([1.0, 2.0, 2.0]) / 3
+    return vertices + (times - 1) * (vertices @ axis)[:, None] * axis, faces
+
+
+def punctured(shape: Shape, at: list[int]) -> Shape:
+    """Without the faces around some vertices; one whose hole would touch a boundary or another hole is passed over."""
+    vertices, faces = shape
+    taken = build_topology(faces, len(vertices)).is_boundary_vertex
+    is_gone = np.zeros(len(faces), dtype=bool)
+    for v in at:
+        star = (faces == v).any(axis=1)
+        if not taken[faces[star]].any():
+            taken[faces[star]] = True
+            is_gone |= star
+    kept, corners = np.unique(faces[~is_gone], return_inverse=True)
+    return vertices[kept], corners.reshape(-1, 3)
+
+
+def with_null_edges(shape: Shape, count: int, seed: int = 0) -> Shape:
+    """With up to so many edges without length, drawn at random, no two of them at one vertex."""
+    vertices, faces = shape[0].copy(), shape[1]
+    taken = np.zeros(len(vertices), dtype=bool)
+    for a, b in np.random.default_rng(seed).permutation(build_topology(faces, len(vertices)).edges).tolist():
+        if count > 0 and not taken[[a, b]].any():
+            taken[[a, b]] = True
+            vertices[b] = vertices[a]
+            count -= 1
+    return vertices, faces
+
+
+def with_cluster(shape: Shape, at: int, count: int) -> Shape:
+    """With so many vertices on one point: vertex `at` and those around it, ring by ring."""
+    vertices, faces = shape[0].copy(), shape[1]
+    edges = build_topology(faces, len(vertices)).edges
+    cluster = [at]
+    for v in cluster:
+        cluster += [w for w in edges[(edges == v).any(axis=1)].reshape(-1).tolist() if w not in [*cluster, v]]
+        if len(cluster) >= count:
+            break
+    vertices[cluster[:count]] = vertices[at]
+    return vertices, faces
+
+
 # Legal, but hard.
 
 

@@ -73,7 +73,7 @@ def test_an_existing_file_needs_overwrite(ball, tmp_path, capsys):
     (("subdivide", "BALL", "-o", "x.obj", "--device", "nowhere"), "nowhere"),
     (("subdivide", "BALL", "-o", "x.obj", "--crease-angle", "30"), "creases"),
     (("render", "BALL", "-o", "x.obj"), ".png"),
-    (("train", "absent.safetensors", "-o", "run"), "import-pairs"),
+    (("train", "absent.safetensors", "-o", "run"), "neusub pairs"),
     (("train", "absent.safetensors", "-o", "run", "--batch", "0"), "batch = 0"),
     (("evaluate", "BALL", "absent.ply"), "absent.ply"),
     (("subdivide", "-o", "x.obj"), "at least one file"),
@@ -169,3 +169,56 @@ def test_pairs_are_imported_and_trained_from(elephant, tmp_path, capsys):
 def test_help_does_not_import_torch():
     code = "import sys; import neusub.cli; sys.exit('torch' in sys.modules or 'trimesh' in sys.modules)"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0
+
+
+@pytest.fixture
+def fine(tmp_path):
+    path = tmp_path / "fine.ply"
+    neusub.save(Mesh(*shapes.bumpy(shapes.icosphere(3))), path)
+    return path
+
+
+def test_decimate_writes_the_coarse_mesh_and_its_map(fine, tmp_path, capsys):
+    status, out, _ = neusub_command(capsys, "decimate", fine, "-o", tmp_path / "c.obj", "--faces", 100,
+                                    "--map-file", tmp_path / "m.safetensors", "--report")
+    assert status == 0
+    assert "1,280 -> 100 faces" in out and "quasi-conformal error" in out
+    result = neusub.SelfParameterization.load(tmp_path / "m.safetensors")
+    np.testing.assert_allclose(neusub.load(tmp_path / "c.obj").vertices, result.decimated, atol=1e-6)
+    assert neusub_command(capsys, "render", tmp_path / "m.safetensors", "-o", tmp_path / "m.png", "--map")[0] == 0
+    assert (tmp_path / "m.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("words, message", [
+    ((), "give exactly one target"),
+    (("--faces", 10, "--vertices", 10), "give exactly one target"),
+    (("--faces", 5000), "the mesh has 1280"),
+    (("--faces", 100, "--strategy", "best"), "strategy 'best' is not one of"),
+])
+def test_decimate_names_what_is_wrong(fine, tmp_path, capsys, words, message):
+    status, _, err = neusub_command(capsys, "decimate", fine, "-o", tmp_path / "c.obj", *words)
+    assert status == 1 and message in err
+    assert not (tmp_path / "c.obj").exists()
+
+
+def test_remesh_writes_all_levels(fine, tmp_path, capsys):
+    status, out, _ = neusub_command(capsys, "remesh", fine, "-o", tmp_path / "r.obj", "--faces", 80, "--all-levels")
+    assert status == 0 and "80 base faces -> 1,280" in out
+    assert [len(neusub.load(tmp_path / f"r.level{k}.obj").faces) for k in range(3)] == [80, 320, 1280]
+
+
+def test_pairs_are_made_and_trained_from_and_a_failed_source_is_told(fine, tmp_path, capsys):
+    words = ("pairs", fine, "-o", tmp_path / "pairs", "--per-mesh", 2, "--validation", 1, "--vertices", "30:40")
+    status, out, _ = neusub_command(capsys, *words)
+    assert status == 0 and "2 pairs; " in out and "quality_median" in out
+    status, out, _ = neusub_command(capsys, "train", tmp_path / "pairs", "-o", tmp_path / "run", "--epochs", 1)
+    assert status == 0 and "best validation loss" in out
+    words = ("pairs", fine, tmp_path / "none.obj", "-o", tmp_path / "more", "--per-mesh", 1, "--vertices", "30:40")
+    status, out, err = neusub_command(capsys, *words)
+    assert status == 1 and "1 of 2 sources failed" in err and "none.obj" in err
+    assert (tmp_path / "more" / "fine.train.safetensors").exists()
+
+
+def test_a_range_of_sizes_that_is_none_is_named(fine, tmp_path, capsys):
+    status, _, err = neusub_command(capsys, "pairs", fine, "-o", tmp_path / "p", "--vertices", "many")
+    assert status == 1 and "write FEWEST:MOST" in err

@@ -202,7 +202,8 @@ def decimate_command(
         output: The coarse mesh.
         vertices: How many to keep; or
         faces: How many to keep.
-        strategy: quadric, random (the cheapest of 100 random edges), edge-length, uniform, removal.
+        strategy: quadric, random (the cheapest of 100 random edges), edge-length, uniform, appearance (UVs, colours
+            and normals count), removal (vertices stay where they are).
         seed: Of the random strategy.
         on_surface: Put the coarse vertices where the map puts them on the surface.
         sharp_boundary_angle: Boundary vertices that turn by more (degrees) never move.

@@ -14,7 +14,7 @@ from neusub.files import replacing
 from neusub.mesh import Mesh
 from neusub.metrics import face_normals, triangle_quality
 from neusub.pictures import CAMERA, EDGE, aim_camera
-from neusub.selfparam.mapping import face_corners
+from neusub.selfparam.mapping import BEFORE, MADE, UV
 from neusub.selfparam.parameterization import SelfParameterization, refinement, weighted
 from neusub.topology import build_topology
 
@@ -32,6 +32,7 @@ TITLE = 30  # pixels below a panel
 DOTS = 100  # per inch
 DARK, LIGHT = (76, 103, 153), (246, 241, 228)  # the checkerboard
 GONE = "#4a5568"  # faces that vanish in a collapse
+RED = "#c0392b"  # the edge that collapses, and the merged vertex
 
 
 def render_map(
@@ -209,22 +210,31 @@ def composed(pictures: list[ndarray], titles: list[str], panel: tuple[int, int])
 
 
 def chart_faces(parameterization: SelfParameterization, c: int, is_after: bool) -> tuple[ndarray, ndarray]:
-    """Corners (n, 3) of the faces of chart c, local indices as in `flatten.py`; and their places in the ring."""
+    """Corners (n, 3) of the faces of chart c, local indices as in `mapping.py`; and which one of the others each has
+    most in common with."""
     charts = parameterization.charts
-    m, split = int(charts.slots[c + 1] - charts.slots[c]) - 2, int(charts.split[c])
-    before = charts.before[charts.slots[c] : charts.slots[c] + m + 2]
-    places = [t for t in range(m if is_after else m + 2) if before[t] >= 0]
-    return np.array([face_corners.py_func(t, m, split, is_after) for t in places]), np.array(places)
+    if is_after:
+        begin, end = charts.starts[c : c + 2, MADE] - charts.starts[0, MADE]
+        rows = charts.after[begin:end].astype(np.int64)
+    else:
+        rows = charts.before[slice(*charts.starts[c : c + 2, BEFORE])].astype(np.int64)
+    return rows[:, :3], rows[:, 3]
 
 
-def chart_uv(parameterization: SelfParameterization, c: int) -> Float64[ndarray, "m+3 2"]:
-    """Places of the ring, j, k and the merged vertex; j -> k along the x axis."""
-    slots = parameterization.charts.slots
-    uv = parameterization.charts.uv[slots[c] + c : slots[c + 1] + c + 1]
-    along = uv[-2] - uv[-3]
+def inner_vertices(parameterization: SelfParameterization, c: int) -> tuple[ndarray, ndarray]:
+    """Local vertices of chart c that vanish, j and k of a collapse, and that appear, the merged one."""
+    before, after = (chart_faces(parameterization, c, is_after)[0] for is_after in (False, True))
+    return np.setdiff1d(before, after), np.setdiff1d(after, before)
+
+
+def chart_uv(parameterization: SelfParameterization, c: int) -> Float64[ndarray, "n 2"]:
+    """Places of the local vertices; j -> k along the x axis."""
+    uv = parameterization.charts.uv[slice(*parameterization.charts.starts[c : c + 2, UV])]
+    ends = uv[inner_vertices(parameterization, c)[0]]
+    along = ends[-1] - ends[0]
     length = np.linalg.norm(along)
     x, y = along / length if length > 0 else (1.0, 0.0)
-    return (uv - (uv[-2] + uv[-3]) / 2) @ np.array([[x, -y], [y, x]])
+    return (uv - ends.mean(axis=0)) @ np.array([[x, -y], [y, x]])
 
 
 def usual_chart(parameterization: SelfParameterization) -> int:
@@ -232,10 +242,10 @@ def usual_chart(parameterization: SelfParameterization) -> int:
     last, best, best_score = int(parameterization.charts.used[0]), -1, -np.inf
     for c in range(max(0, last - CANDIDATES), last):
         uv = chart_uv(parameterization, c)
-        (before, places), (after, _) = (chart_faces(parameterization, c, is_after) for is_after in (False, True))
+        before, after = (chart_faces(parameterization, c, is_after)[0] for is_after in (False, True))
         solid = np.column_stack([uv, np.zeros(len(uv))])
-        m = len(uv) - 3
-        score = triangle_quality(solid, np.concatenate([before, after])).min() + (len(places) == m + 2) + (m >= 8)
+        is_inner = len(before) == len(after) + 2
+        score = triangle_quality(solid, np.concatenate([before, after])).min() + is_inner + (len(after) >= 8)
         if score > best_score:
             best, best_score = c, score
     return best
@@ -243,7 +253,9 @@ def usual_chart(parameterization: SelfParameterization) -> int:
 
 def add_chart(figure: Figure, parameterization: SelfParameterization, c: int) -> None:
     """Draw chart c into the figure's fourth panel, before and after; -1 is none."""
-    title = f"collapse {c:,} in the plane: before and after" if c >= 0 else "no collapse"
+    gone = inner_vertices(parameterization, c)[0] if c >= 0 else []
+    word = "removal" if len(gone) == 1 else "collapse"
+    title = f"{word} {c:,} in the plane: before and after" if c >= 0 else "no collapse"
     height = figure.get_size_inches()[1] * DOTS
     figure.text(0.75, TITLE / 2 / height, title, ha="center", va="center", fontsize=10)
     if c < 0:
@@ -253,26 +265,29 @@ def add_chart(figure: Figure, parameterization: SelfParameterization, c: int) ->
     border = 0.08 * (high - low).max()
     for k, is_after in enumerate((False, True)):
         axes = figure.add_axes((0.505 + 0.25 * k, 1.5 * TITLE / height, 0.24, 0.5 - 2 * TITLE / height))
-        draw_chart(axes, uv, *chart_faces(parameterization, c, is_after), is_after)
+        draw_chart(axes, parameterization, c, is_after)
         axes.set(xlim=(low[0] - border, high[0] + border), ylim=(low[1] - border, high[1] + border), aspect="equal")
         axes.axis("off")
 
 
-def draw_chart(axes: Axes, uv: ndarray, corners: ndarray, places: ndarray, is_after: bool) -> None:
-    """The faces of a ring in the plane; a face has the same colour before and after."""
+def draw_chart(axes: Axes, parameterization: SelfParameterization, c: int, is_after: bool) -> None:
+    """The faces of chart c in the plane; two that have most in common with each other have the same colour."""
     from matplotlib import colormaps
     from matplotlib.patheffects import withStroke
 
-    m = len(uv) - 3
-    palette = colormaps["Set3"]
-    for face, place in zip(corners, places):
-        color = GONE if place >= m else palette(int(place) % 12)
-        axes.fill(*uv[face].T, facecolor=color, edgecolor=EDGE, linewidth=1.2, alpha=0.55 if place >= m else 1)
-    inner = {"i": m + 2} if is_after else {"j": m, "k": m + 1}
-    if not is_after:
-        axes.plot(*uv[[m, m + 1]].T, color="#c0392b", linewidth=3, solid_capstyle="round")
-    shown = [*range(m), *inner.values()]
-    axes.scatter(*uv[shown].T, s=[18] * m + [60] * len(inner), color=[EDGE] * m + ["#c0392b"] * len(inner), zorder=3)
-    for name, v in inner.items():
-        axes.annotate(name, uv[v], xytext=(0, 9), textcoords="offset points", ha="center", fontsize=13,
+    uv = chart_uv(parameterization, c)
+    corners, partner = chart_faces(parameterization, c, is_after)
+    vanishes = chart_faces(parameterization, c, not is_after)[1][partner] != np.arange(len(partner))
+    for t, face in enumerate(corners):
+        is_gone = vanishes[t] and not is_after
+        color = GONE if is_gone else colormaps["Set3"](int(t if is_after else partner[t]) % 12)
+        axes.fill(*uv[face].T, facecolor=color, edgecolor=EDGE, linewidth=1.2, alpha=0.55 if is_gone else 1)
+    inner = inner_vertices(parameterization, c)[is_after]
+    if len(inner) == 2:
+        axes.plot(*uv[inner].T, color=RED, linewidth=3, solid_capstyle="round")
+    shown = np.unique(corners)
+    is_inner = np.isin(shown, inner)
+    axes.scatter(*uv[shown].T, s=np.where(is_inner, 60, 18), color=np.where(is_inner, RED, EDGE), zorder=3)
+    for name, v in zip("jk" if len(inner) == 2 else "i", inner):
+        axes.annotate(name, tuple(uv[v]), xytext=(0, 9), textcoords="offset points", ha="center", fontsize=13,
                       style="italic", zorder=4, path_effects=[withStroke(linewidth=3, foreground="white")])

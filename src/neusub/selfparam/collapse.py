@@ -18,10 +18,13 @@ from numpy import ndarray
 from neusub.selfparam.criteria import BOUNDARY, LEGAL, LINK, VALENCE, check_plane, check_space
 from neusub.selfparam.flatten import Solver, flatten_after, flatten_before
 from neusub.selfparam.mapping import Charts, has_room, record
-from neusub.selfparam.placement import QUADRIC, REMOVAL, evaluate, place_edge
+from neusub.selfparam.placement import QUADRIC, REMOVAL, evaluate, place_edge, subtract_mean
 from neusub.selfparam.queue import Queue, cheapest, put, take_out
 from neusub.selfparam.surface import (
     COMPILED,
+    FIXED,
+    FREE,
+    ON_SEAM,
     Ring,
     Surface,
     after,
@@ -53,6 +56,7 @@ class Work(NamedTuple):
     ring: Ring
     solver: Solver
     quadrics: ndarray  # (nV, 10)
+    gradients: ndarray  # (nV, attributes, 5): `appearance.py`; no attributes for most strategies
     quadric: ndarray  # (10,) scratch: of the edge at hand
     position: ndarray  # (3,) scratch: where its merged vertex goes
     criteria: ndarray  # (3,): `Criteria.packed`
@@ -108,6 +112,7 @@ def offer_all(work, user):
     for h in range(len(surface.twins)):
         if surface.faces[h // 3, 0] >= 0 and edge_of(surface, h) == h:
             offer(work, user, h)
+            work.counts[BOUNDARY] += which_end(surface, h) == -2
 
 
 @njit(**COMPILED)
@@ -124,13 +129,20 @@ def is_null(surface, h):
 @njit(**COMPILED)
 def which_end(surface, h):
     """Whose position the merged vertex must take: 0 tail, 1 head, -1 neither; -2 where the edge must stay."""
-    j, k = tail(surface, h), head(surface, h)
-    is_inner = surface.twins[h] >= 0
-    holds_j = surface.is_fixed[j] or (is_inner and on_boundary(surface, j))
-    holds_k = surface.is_fixed[k] or (is_inner and on_boundary(surface, k))
-    if holds_j and holds_k:
+    hold_j, hold_k = hold_of(surface, h, tail(surface, h)), hold_of(surface, h, head(surface, h))
+    if hold_j > FREE and hold_k > FREE:
         return -2
-    return 0 if holds_j else 1 if holds_k else -1
+    return 0 if hold_j > FREE else 1 if hold_k > FREE else -1
+
+
+@njit(**COMPILED)
+def hold_of(surface, h, v):
+    """What holds an end of h against a collapse of h: along a boundary or a seam its vertices are free."""
+    if surface.twins[h] >= 0 and on_boundary(surface, v):
+        return FIXED
+    if surface.is_seam[h] and surface.holds[v] == ON_SEAM:
+        return FREE
+    return surface.holds[v]
 
 
 @njit(**COMPILED)
@@ -140,6 +152,8 @@ def place(work, user, h, end):
     j, k = tail(surface, h), head(surface, h)
     for term in range(10):
         quadric[term] = work.quadrics[j, term] + work.quadrics[k, term]
+    for attribute in range(work.gradients.shape[1]):
+        subtract_mean(quadric, work.gradients, j, k, attribute)
     code = work.options[0]
     cost = place_edge(code, user, surface.positions[j], surface.positions[k], quadric, position)
     if end >= 0:
@@ -193,6 +207,8 @@ def try_collapse(work, user, h):
     copy_points(work, h, m)
     kept = m if merged else kept_end(work, h, m, end)
     has_f1 = surface.twins[h] >= 0
+    if not has_f1 and not merged and kept < 0 and (gap == 0 or gap == m - 1):
+        kept = m if gap == 0 else m + 1  # an end with one face only is a corner: in the plane it stays
     if not merged:
         reason = check_space(ring, m, split, gap, has_f1, work.criteria)
         if reason != LEGAL:
@@ -233,7 +249,10 @@ def merge(work, user, h, m, split, gap):
     copy_row(surface.positions, j, ring.points, m + 2)
     for term in range(10):
         work.quadrics[j, term] += work.quadrics[k, term]
-    surface.is_fixed[j] |= surface.is_fixed[k]
+    for attribute in range(work.gradients.shape[1]):
+        for term in range(5):
+            work.gradients[j, attribute, term] += work.gradients[k, attribute, term]
+    surface.holds[j] = max(surface.holds[j], surface.holds[k])
     work.sizes[0] -= 1
     work.sizes[1] -= 2 if twin >= 0 else 1
     work.sizes[2] += 1

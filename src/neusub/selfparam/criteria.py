@@ -7,6 +7,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numba import njit
 
+from neusub.errors import DecimationError
 from neusub.selfparam.surface import COMPILED
 
 __all__ = ["REASONS", "Criteria", "refusals"]
@@ -14,7 +15,7 @@ __all__ = ["REASONS", "Criteria", "refusals"]
 # Codes of the kernels are indices into this tuple; 0 is a legal collapse.
 REASONS = (
     "legal",
-    "boundary",  # an inner edge between two boundary vertices, or an edge between two fixed ones
+    "boundary",  # an inner edge between two vertices that must stay: on the boundary, on a seam, fixed
     "link condition",
     "valence",  # more ring vertices than the scratch arrays hold
     "normal flip",
@@ -24,6 +25,7 @@ REASONS = (
     "quality in the plane",
 )
 LEGAL, BOUNDARY, LINK, VALENCE, NORMAL, PLANE_BEFORE, PLANE_AFTER, QUALITY_SPACE, QUALITY_PLANE = range(len(REASONS))
+SLIVER = 1e-8  # least area in the plane, over the squared edges: of less, points come back with few digits
 
 
 @dataclass(frozen=True)
@@ -45,7 +47,7 @@ class Criteria:
         for name in ("min_normal_dot", "min_quality"):
             value = getattr(self, name)
             if value is not None and not -1 <= value < 1:
-                raise ValueError(f"{name} = {value}: take a number in [-1, 1), or None for no test.")
+                raise DecimationError(f"{name} = {value}: take a number in [-1, 1), or None for no test.")
 
     def packed(self) -> np.ndarray:
         """For the kernels: a test that is off is one that always passes."""
@@ -167,35 +169,47 @@ def check_plane(ring, m, split, gap, has_f1, merged, criteria):
         s, apex = (t + 1) % m, m if t < split else m + 1
         area, squared = plane_face(uv, apex, t, s)
         new_area, new_squared = plane_face(uv, m + 2, t, s)
-        if tests_flips and not (area > 0 and new_area > 0) and (not merged or has_area(points, apex, t, s)):
-            return PLANE_AFTER if area > 0 else PLANE_BEFORE
+        is_turned, will_be_turned = not area > SLIVER * squared, not new_area > SLIVER * new_squared
+        if tests_flips and (is_turned or will_be_turned) and (not merged or has_area(points, apex, t, s)):
+            return PLANE_BEFORE if is_turned else PLANE_AFTER
         worst_before = min(worst_before, quality(squared, area))
         worst_after = min(worst_after, quality(new_squared, new_area))
         if t < split:
             around_j += crosses_upward(uv, m, t, s)
         else:
             around_k += crosses_upward(uv, m + 1, t, s)
-        around_i += crosses_upward(uv, m + 2, t, s)
+        around_i += comes_back(uv, m + 2, (gap + 1) % m, t, s)
     if not merged:
         area, squared = plane_face(uv, m, m + 1, 0)
         worst_before = min(worst_before, quality(squared, area))
-        if tests_flips and not area > 0:
+        if tests_flips and not area > SLIVER * squared:
             return PLANE_BEFORE
         if has_f1:
             area, squared = plane_face(uv, m + 1, m, split)
             worst_before = min(worst_before, quality(squared, area))
-            if tests_flips and not area > 0:
+            if tests_flips and not area > SLIVER * squared:
                 return PLANE_BEFORE
             around_j += crosses_upward(uv, m, m + 1, 0) + crosses_upward(uv, m, split, m + 1)
             around_k += crosses_upward(uv, m + 1, m, split) + crosses_upward(uv, m + 1, 0, m)
-        elif tests_flips and not 0.0 < uv[m, 0] < uv[m + 1, 0] < 1.0:  # a, j, k, b in this order along a boundary
+        elif tests_flips and not uv[m, 0] < uv[m + 1, 0]:  # j before k along a boundary
             return PLANE_BEFORE
         if tests_flips and not (goes_round(around_j, 0 <= gap < split or not has_f1)
                                 and goes_round(around_k, gap >= split)):
             return PLANE_BEFORE
         if worst_after <= min(criteria[1], worst_before):
             return QUALITY_PLANE
-    return LEGAL if goes_round(around_i, gap >= 0) or not tests_flips else PLANE_AFTER
+    # The fan must come back to its first ray once, on a boundary never: then its outline is simple, and the faces
+    # before, which have the same one, do not lie upon each other either.
+    return LEGAL if around_i == (0 if gap >= 0 else 1) or not tests_flips else PLANE_AFTER
+
+
+@njit(**COMPILED)
+def comes_back(uv, v, first, p, q):
+    """Whether the edge p -> q crosses the ray from v through `first`, counter-clockwise."""
+    x, y = uv[first, 0] - uv[v, 0], uv[first, 1] - uv[v, 1]
+    left_of_p = x * (uv[p, 1] - uv[v, 1]) - y * (uv[p, 0] - uv[v, 0])
+    left_of_q = x * (uv[q, 1] - uv[v, 1]) - y * (uv[q, 0] - uv[v, 0])
+    return left_of_p < 0 <= left_of_q
 
 
 @njit(**COMPILED)

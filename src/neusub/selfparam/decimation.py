@@ -12,14 +12,15 @@ from numpy import ndarray
 
 from neusub.errors import DecimationError
 from neusub.mesh import Mesh
+from neusub.selfparam.appearance import attribute_quadrics, seam_holds
 from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_edges, offer_all, run
 from neusub.selfparam.criteria import REASONS, Criteria
 from neusub.selfparam.flatten import make_solver
-from neusub.selfparam.mapping import grown, make_charts
+from neusub.selfparam.mapping import CAPACITY, grown, make_charts, trimmed
 from neusub.selfparam.parameterization import SelfParameterization
 from neusub.selfparam.placement import STRATEGIES, USER, Strategy, no_user, vertex_quadrics
 from neusub.selfparam.queue import make_queue
-from neusub.selfparam.surface import Surface, make_ring
+from neusub.selfparam.surface import FIXED, FREE, Surface, make_ring
 from neusub.topology import Topology
 
 __all__ = ["decimate"]
@@ -104,12 +105,18 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
     positions = np.ascontiguousarray((mesh.vertices - centre) / scale)
     topology, n_faces = mesh.topology, len(mesh.faces)
     starts = outgoing(topology)
-    fixed = np.zeros(len(positions), dtype=np.bool_)
+    holds, is_seam = np.full(len(positions), FREE, dtype=np.uint8), np.zeros(3 * n_faces, dtype=np.bool_)
+    if plan.keeps_appearance:
+        holds, is_seam = seam_holds(mesh)
     if sharp_boundary_angle is not None:
-        fixed = sharp_boundary_vertices(positions, topology, sharp_boundary_angle)
+        holds[sharp_boundary_vertices(positions, topology, sharp_boundary_angle)] = FIXED
     surface = Surface(positions, mesh.faces.astype(np.int32), topology.twins.astype(np.int32), starts,
-                      np.arange(n_faces, dtype=np.int32), fixed, np.zeros(len(positions), np.int32))
-    capacity = max(64, 2 * int(topology.valence.max()) + 64)
+                      np.arange(n_faces, dtype=np.int32), holds, is_seam, np.zeros(len(positions), np.int32))
+    quadrics, gradients = vertex_quadrics(positions, topology, plan.spread), np.zeros((len(positions), 0, 5))
+    if plan.keeps_appearance:
+        more, gradients = attribute_quadrics(mesh, positions)
+        quadrics += more
+    capacity = min(2 * int(topology.valence.max()) + 64, CAPACITY)
     collapses = expected_collapses(mesh, targets)
     work = Work(
         surface=surface,
@@ -117,7 +124,8 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         queue=make_queue(3 * n_faces, len(topology.edges), plan.choices == 0),
         ring=make_ring(capacity),
         solver=make_solver(capacity),
-        quadrics=vertex_quadrics(positions, topology, plan.spread),
+        quadrics=quadrics,
+        gradients=gradients,
         quadric=np.zeros(10),
         position=np.zeros(3),
         criteria=criteria.packed(),
@@ -157,24 +165,20 @@ def collapse_all(work: Work, user: Any, targets: tuple[int, int], on_progress: A
 
 def with_room(work: Work, n_faces: int) -> Work:
     slots = len(work.charts.before)
-    return work._replace(charts=grown(work.charts, n_faces, len(work.charts.split), slots + slots // 2 + 1024))
+    return work._replace(charts=grown(work.charts, n_faces, len(work.charts.starts) - 1, slots + slots // 2 + 1024))
 
 
 def finish(mesh: Mesh, work: Work, reached: bool, strategy: str, seed: int) -> SelfParameterization:
     """Number the vertices and faces that are left, in their old order, and cut the charts to size."""
-    surface, charts = work.surface, work.charts
+    surface = work.surface
     alive = np.flatnonzero(surface.faces[:, 0] >= 0)
     kept, faces = np.unique(surface.faces[alive], return_inverse=True)
-    n_charts, n_versions = (int(n) for n in charts.used)
-    n_slots = int(charts.slots[n_charts])
-    lengths = (n_charts + 1, n_charts, n_charts, n_slots + n_charts, n_slots, n_slots, *(n_versions,) * 3, 2)
-    charts = type(charts)(*(array[:n].copy() for array, n in zip(charts, lengths)))
     return SelfParameterization(
         fine=mesh,
         faces=faces.reshape(-1, 3).astype(np.int64),
         decimated=surface.positions[kept],
         versions=surface.versions[alive].astype(np.int32),
-        charts=charts,
+        charts=trimmed(work.charts),
         reached=reached,
         counts={name: int(n) for name, n in zip(REASONS, work.counts)},
         strategy=strategy,

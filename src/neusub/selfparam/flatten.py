@@ -134,6 +134,8 @@ def factorise(energy, n):
     largest = 0.0
     for p in range(n):
         largest = max(largest, energy[p, p].real)
+    if largest == 0.0:  # all points are one: any places will do
+        largest = 1.0 / SHIFT
     for p in range(n):
         pivot = energy[p, p].real + SHIFT * largest
         energy[p, p] = pivot
@@ -198,13 +200,18 @@ def flatten_free(solver, points, uv, m, split, gap, has_f1, merged, kept):
 
 @njit(**COMPILED)
 def flatten_along_boundary(solver, points, uv, m, split, gap, has_f1, merged, kept):
-    """Ring of a boundary edge j -> k: a = r[gap] at 0, b = r[gap + 1] at 1, j and k on the line between them."""
+    """Ring of a boundary edge j -> k: a = r[gap] at 0, b = r[gap + 1] at 1, j and k on the line between them.
+
+    Where the merged vertex stays at j (or k), that is one end of the line, and a (or b) is free: a corner of the
+    boundary stays one in the plane.
+    """
     n = assemble(solver.energy, points, m, split, gap, has_f1, merged, kept)
     energy, real, right, free = solver.energy, solver.real, solver.right, solver.free
     a, b = gap, (gap + 1) % m
+    first, last = m if kept == m else a, m + 1 if kept == m + 1 else b  # the ends of what is straightened
     count = 0
     for v in range(n):
-        if v != a and v != b:
+        if v != first and v != last:
             free[count] = v
             count += 1
             if v < m:  # the others stay on the line
@@ -218,10 +225,10 @@ def flatten_along_boundary(solver, points, uv, m, split, gap, has_f1, merged, ke
                 real[p, q] = value.real
             else:
                 real[p, q] = value.imag if imaginary_p else -value.imag
-        right[p] = -energy[vp, b].imag if imaginary_p else -energy[vp, b].real
+        right[p] = -energy[vp, last].imag if imaginary_p else -energy[vp, last].real
     solve_real(real, right, count)
     uv[:n] = 0.0
-    uv[b, 0] = 1.0
+    uv[last, 0] = 1.0
     for p in range(count):
         uv[free[p] % n, free[p] // n] = right[p]
 
@@ -259,6 +266,7 @@ def flatten_tutte(uv, m, split, has_f1, along_boundary, gap):
         for t in range(m):
             angle = np.pi * (1 - ((t - gap - 1) % m) / max(m - 1, 1))
             uv[t, 0], uv[t, 1] = 0.5 - 0.5 * np.cos(angle), 0.5 * np.sin(angle)
+        uv[gap, 1] = uv[(gap + 1) % m, 1] = 0.0  # exactly: sin(pi) is not
         uv[m, 0], uv[m, 1] = 1 / 3, 0.0
         uv[m + 1, 0], uv[m + 1, 1] = 2 / 3, 0.0
         return

@@ -1,19 +1,21 @@
 """The map that a decimation leaves behind, and its two directions.
 
-Each face that ever was has a *version*: the input's faces are versions 0 .. nF - 1.  A collapse consumes the versions
-of its ring and makes new ones; it keeps one chart, the places of both rings in the plane.  A point of a coarse face
-goes up through the charts that made its version until no collapse made it; a point of a fine face goes down through
-the charts that consumed it.  Points are independent of each other, so no search over all collapses is needed.
+Each face that ever was has a *version*: the input's faces are versions 0 .. nF - 1.  A step (an edge collapse, a vertex
+removal) consumes the versions of a region and makes new ones that cover the same region of a plane; it keeps one chart,
+the places of all corners in that plane.  A point of a coarse face goes up through the charts that made its version
+until none made it; a point of a fine face goes down through the charts that consumed it.  Points are independent of
+each other, so no search over all charts is needed.
 
-Chart c of a ring of m vertices (figure in `surface.py`) holds
-    uv          m + 3 rows from slots[c] + c:  ring, j, k, merged vertex
-    before      m + 2 versions from slots[c]:  of ring edge t's face (-1 at the gap), f0, f1 (-1 along a boundary)
-    corner      m + 2: at which corner of the stored face its apex is (j, or k beyond `split`)
-The face of ring edge t has version first[c] + t afterwards, with the same corner.
+Chart c has three runs, from starts[c] to starts[c + 1]:
+    uv       its local vertices in the plane
+    before   its consumed faces: three local vertices, in the order of the stored face, and the made face to look in
+             first for a point of this one; `old` has the face's version
+    after    its made faces: the same, with the consumed face to look in first; version v has row v - nF
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -22,165 +24,218 @@ from numpy import ndarray
 
 from neusub.selfparam.surface import COMPILED, copy_row
 
-__all__ = ["Charts", "go_down", "go_up", "grown", "make_charts", "record"]
+__all__ = [
+    "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "go_down", "go_up", "grown", "make_charts",
+    "record", "trimmed",
+]  # fmt: skip
+
+CAPACITY = 2**16 - 3  # of a ring: local vertices are uint16, and there are three more than ring vertices
+UV, BEFORE, MADE = range(3)  # columns of `starts`
 
 
 class Charts(NamedTuple):
     """All charts of a decimation, one after the other; `used` says how much of the arrays is filled."""
 
-    slots: ndarray  # (charts + 1,) int64
-    split: ndarray  # (charts,) int32
-    first: ndarray  # (charts,) int32
-    uv: ndarray  # (sum of m + 3, 2) float64
-    before: ndarray  # (sum of m + 2,) int32
-    corner: ndarray  # (sum of m + 2,) uint8
+    starts: ndarray  # (charts + 1, 3) int64: first row in uv and in before, first version made; starts[0, MADE] is nF
+    uv: ndarray  # (local vertices, 2) float64
+    before: ndarray  # (consumed, 4) uint16
+    old: ndarray  # (consumed,) int32: versions
+    after: ndarray  # (made, 4) uint16
     made_by: ndarray  # (versions,) int32: the chart that made a version; -1 for the input's
     consumed_by: ndarray  # (versions,) int32: the chart that consumed it; -1 for the coarse mesh's
-    consumed_at: ndarray  # (versions,) int32: at which of that chart's m + 2 places
+    consumed_at: ndarray  # (versions,) int32: its row in `before`
     used: ndarray  # (2,) int64: charts, versions
 
 
-def make_charts(n_faces: int, collapses: int, slots: int) -> Charts:
-    """Room for so many charts with so many slots in all."""
+def make_charts(n_faces: int, charts: int, slots: int) -> Charts:
+    """Room for so many charts with so many consumed faces in all, as many made ones and one vertex a chart more."""
     versions = n_faces + slots
-    charts = Charts(
-        np.zeros(collapses + 1, np.int64), np.zeros(collapses, np.int32), np.zeros(collapses, np.int32),
-        np.zeros((slots + collapses, 2)), np.zeros(slots, np.int32), np.zeros(slots, np.uint8),
-        np.full(versions, -1, np.int32), np.full(versions, -1, np.int32), np.zeros(versions, np.int32),
-        np.array([0, n_faces]),
+    new = Charts(
+        np.zeros((charts + 1, 3), np.int64), np.zeros((slots + charts, 2)), np.zeros((slots, 4), np.uint16),
+        np.zeros(slots, np.int32), np.zeros((slots, 4), np.uint16), np.full(versions, -1, np.int32),
+        np.full(versions, -1, np.int32), np.zeros(versions, np.int32), np.array([0, n_faces]),
     )
-    return charts
+    new.starts[0, MADE] = n_faces
+    return new
 
 
-def grown(charts: Charts, n_faces: int, collapses: int, slots: int) -> Charts:
+def grown(charts: Charts, n_faces: int, n_charts: int, slots: int) -> Charts:
     """A copy with other room; what is filled stays."""
-    new = make_charts(n_faces, collapses, slots)
+    new = make_charts(n_faces, n_charts, slots)
     for old_array, array in zip(charts, new):
         n = min(len(old_array), len(array))
         array[:n] = old_array[:n]
     return new
 
 
+def trimmed(charts: Charts) -> Charts:
+    """A copy without room."""
+    n_charts, n_versions = charts.used
+    n_uv, n_before, _ = charts.starts[n_charts]
+    n_after = n_versions - charts.starts[0, MADE]
+    lengths = (n_charts + 1, n_uv, n_before, n_before, n_after, n_versions, n_versions, n_versions, 2)
+    return Charts(*(array[:n].copy() for array, n in zip(charts, lengths)))
+
+
+class Step(NamedTuple):
+    """One chart, for `charts_of`."""
+
+    uv: ndarray  # (local vertices, 2)
+    old: Sequence[int]  # versions consumed
+    before: ndarray  # (consumed, 4), as in `Charts`
+    after: ndarray  # (made, 4)
+
+
+def charts_of(n_faces: int, steps: Sequence[Step]) -> Charts:
+    """The charts of steps whose made faces take the versions from n_faces on, in their order."""
+    lengths = np.array([(len(s.uv), len(s.before), len(s.after)) for s in steps], np.int64).reshape(-1, 3)
+    charts = make_charts(n_faces, len(steps), int(lengths.sum(axis=0).max(initial=0)))
+    charts.starts[1:] = charts.starts[0] + np.cumsum(lengths, axis=0)
+    n_uv, n_before, n_versions = charts.starts[-1]
+    charts.used[:] = len(steps), n_versions
+    for filled, parts in ((charts.uv[:n_uv], [s.uv for s in steps]), (charts.old[:n_before], [s.old for s in steps]),
+                          (charts.before[:n_before], [s.before for s in steps]),
+                          (charts.after[: n_versions - n_faces], [s.after for s in steps])):
+        filled[:] = np.concatenate([filled[:0], *parts])
+    charts.made_by[n_faces:n_versions] = np.repeat(np.arange(len(steps)), lengths[:, MADE])
+    charts.consumed_by[charts.old[:n_before]] = np.repeat(np.arange(len(steps)), lengths[:, BEFORE])
+    charts.consumed_at[charts.old[:n_before]] = np.arange(n_before)
+    return trimmed(charts)
+
+
+# --- the chart of an edge collapse -------------------------------------------------------------------------------
+
+
 @njit(**COMPILED)
 def has_room(charts, m):
-    c = charts.used[0]
-    return charts.slots[c] + m + 2 <= len(charts.before) and charts.used[1] + m <= len(charts.made_by)
+    """Whether the chart of a ring of m vertices fits."""
+    uv, before, made = charts.starts[charts.used[0]]
+    return uv + m + 3 <= len(charts.uv) and before + m + 2 <= len(charts.before) and made + m <= len(charts.made_by)
+
+
+@njit(**COMPILED)
+def set_corners(faces, row, corner, a, b, c, first):
+    """Local vertices of a stored face that has a at `corner`, then b and c; and where to look first."""
+    faces[row, corner] = a
+    faces[row, 0 if corner == 2 else corner + 1] = b
+    faces[row, 2 if corner == 0 else corner - 1] = c
+    faces[row, 3] = first
+
+
+@njit(**COMPILED)
+def consume(charts, surface, c, row, h, a, b, c_local, first):
+    """Write the face of half-edge h, which runs from a to b, into row `row` of chart c."""
+    version = surface.versions[h // 3]
+    charts.old[row], charts.consumed_by[version], charts.consumed_at[version] = version, c, row
+    set_corners(charts.before, row, h % 3, a, b, c_local, first)
 
 
 @njit(**COMPILED)
 def record(charts, surface, ring, h, m, split, gap):
-    """Keep the chart of the collapse of h, which is about to happen, and give its faces their new versions."""
+    """Keep the chart of the collapse of h, which is about to happen, and give its faces their new versions.
+
+    Local vertices: ring 0 .. m - 1, j = m, k = m + 1, the merged vertex m + 2 (figure in `surface.py`).  Consumed are
+    the faces of the ring edges, in their order, then f0 and f1; made are the faces of the ring edges again.
+    """
     c, version = charts.used
-    at = charts.slots[c]
-    charts.split[c], charts.first[c], charts.slots[c + 1] = split, version, at + m + 2
+    uv, row, _ = charts.starts[c]
+    made = version - charts.starts[0, MADE]
     for v in range(m + 3):
-        copy_row(charts.uv, at + c + v, ring.uv, v)
-    twin = surface.twins[h]
-    for t in range(m + 2):
-        g = ring.halfedges[t] if t < m else (h if t == m else twin)
-        if g < 0:
-            charts.before[at + t] = -1
+        copy_row(charts.uv, uv + v, ring.uv, v)
+    n = 0
+    for t in range(m):
+        if t == gap:
             continue
-        old = surface.versions[g // 3]
-        charts.before[at + t], charts.corner[at + t] = old, g % 3
-        charts.consumed_by[old], charts.consumed_at[old] = c, t
-        if t < m:
-            surface.versions[g // 3] = version + t
-            charts.made_by[version + t] = c
-    charts.used[0], charts.used[1] = c + 1, version + m
+        g, s = np.int64(ring.halfedges[t]), t + 1 if t + 1 < m else 0
+        consume(charts, surface, c, row + n, g, m if t < split else m + 1, t, s, n)
+        set_corners(charts.after, made + n, g % 3, m + 2, t, s, n)
+        charts.made_by[version + n] = c
+        surface.versions[g // 3] = version + n
+        n += 1
+    consume(charts, surface, c, row + n, h, m, m + 1, 0, 0)
+    end, twin = row + n + 1, np.int64(surface.twins[h])
+    if twin >= 0:
+        consume(charts, surface, c, end, twin, m + 1, m, split, split - 1 if 0 <= gap < split else split % n)
+        end += 1
+    charts.starts[c + 1, UV], charts.starts[c + 1, BEFORE], charts.starts[c + 1, MADE] = uv + m + 3, end, version + n
+    charts.used[0], charts.used[1] = c + 1, version + n
 
 
 # --- points through the charts -----------------------------------------------------------------------------------
 
 
 @njit(**COMPILED)
-def face_corners(t, m, split, is_after):
-    """Local indices of the corners of the face at place t, its apex first."""
-    if t < m:
-        return (m + 2 if is_after else m if t < split else m + 1), t, (t + 1) % m
-    return (m, m + 1, 0) if t == m else (m + 1, m, split)
-
-
-@njit(**COMPILED)
-def place_in_plane(uv, corners, corner, point):
-    """Place of a point given by barycentric coordinates of the stored face."""
-    a, b, c = corners
-    x, y, z = point[corner], point[(corner + 1) % 3], point[(corner + 2) % 3]
+def place_in_plane(uv, start, corners, row, point):
+    """Place of a point given by barycentric coordinates of a face."""
+    a, b, c = start + corners[row, 0], start + corners[row, 1], start + corners[row, 2]
+    x, y, z = point
     return x * uv[a, 0] + y * uv[b, 0] + z * uv[c, 0], x * uv[a, 1] + y * uv[b, 1] + z * uv[c, 1]
 
 
 @njit(**COMPILED)
-def areas(uv, corners, x, y):
+def areas(uv, start, corners, row, x, y):
     """Barycentric coordinates of a place, times twice the area; and twice the area."""
-    a, b, c = corners
+    a, b, c = start + corners[row, 0], start + corners[row, 1], start + corners[row, 2]
     ax, ay, bx, by, cx, cy = uv[a, 0] - x, uv[a, 1] - y, uv[b, 0] - x, uv[b, 1] - y, uv[c, 0] - x, uv[c, 1] - y
     wa, wb, wc = bx * cy - by * cx, cx * ay - cy * ax, ax * by - ay * bx
     return wa, wb, wc, wa + wb + wc
 
 
 @njit(**COMPILED)
-def locate(charts, c, x, y, guess, is_after, point):
-    """Find the face of chart c at a place, fill the point's barycentric coordinates; the face's place t."""
-    at = charts.slots[c]
-    m, split = charts.slots[c + 1] - at - 2, charts.split[c]
-    uv = charts.uv[at + c : at + c + m + 3]
-    count = m if is_after else m + 2
-    best, best_t = -np.inf, -1
-    for step in range(count):
-        t = guess + step
-        if t >= count:
-            t -= count
-        if charts.before[at + t] < 0:
-            continue
-        corners = face_corners(t, m, split, is_after)
-        wa, wb, wc, total = areas(uv, corners, x, y)
-        if not total > 0.0:
-            continue
-        inside = min(wa, wb, wc) / total
-        if inside > best:
-            best, best_t = inside, t
-            if inside >= 0.0:
-                break
-    if best_t < 0:  # a ring without area: the point stays where it is
+def locate(uv, start, corners, first, end, guess, x, y, point):
+    """Find the face at a place, one of the rows first .. end - 1; fill the point's barycentric coordinates; its row."""
+    best, best_row = -np.inf, -1
+    row = guess
+    for _ in range(first, end):
+        wa, wb, wc, total = areas(uv, start, corners, row, x, y)
+        if total > 0.0:
+            inside = min(wa, wb, wc) / total
+            if inside > best:
+                best, best_row = inside, row
+                if inside >= 0.0:
+                    break
+        row += 1
+        if row == end:
+            row = first
+    if best_row < 0:  # a region without area: the point stays where it is
         return guess
-    wa, wb, wc, total = areas(uv, face_corners(best_t, m, split, is_after), x, y)
+    wa, wb, wc, total = areas(uv, start, corners, best_row, x, y)
     wa, wb, wc = max(wa, 0.0), max(wb, 0.0), max(wc, 0.0)  # rounding puts a point just outside of all faces
     total = wa + wb + wc
-    corner = charts.corner[at + best_t]
-    point[corner], point[(corner + 1) % 3], point[(corner + 2) % 3] = wa / total, wb / total, wc / total
-    return best_t
+    point[0], point[1], point[2] = wa / total, wb / total, wc / total
+    return best_row
 
 
 @njit(**COMPILED)
 def go_up(charts, versions, points, first, last):
-    """Take points from coarse faces to the input's, in place: versions (n,), barycentric coordinates (n, 3)."""
-    for row in range(first, last):
-        version, point = versions[row], points[row]
+    """Take points from coarse faces to the input's, in place."""
+    n_input = charts.starts[0, MADE]
+    for at in range(first, last):
+        version, point = np.int64(versions[at]), points[at]
         c = charts.made_by[version]
         while c >= 0:
-            at = charts.slots[c]
-            m, split = charts.slots[c + 1] - at - 2, charts.split[c]
-            t = version - charts.first[c]
-            uv = charts.uv[at + c : at + c + m + 3]
-            x, y = place_in_plane(uv, face_corners(t, m, split, True), charts.corner[at + t], point)
-            version = charts.before[at + locate(charts, c, x, y, t, False, point)]
+            start, begin, end = charts.starts[c, UV], charts.starts[c, BEFORE], charts.starts[c + 1, BEFORE]
+            row = version - n_input
+            x, y = place_in_plane(charts.uv, start, charts.after, row, point)
+            guess = begin + charts.after[row, 3]
+            version = np.int64(charts.old[locate(charts.uv, start, charts.before, begin, end, guess, x, y, point)])
             c = charts.made_by[version]
-        versions[row] = version
+        versions[at] = version
 
 
 @njit(**COMPILED)
 def go_down(charts, versions, points, first, last):
     """Take points from the input's faces to coarse ones, in place."""
-    for row in range(first, last):
-        version, point = versions[row], points[row]
+    n_input = charts.starts[0, MADE]
+    for at in range(first, last):
+        version, point = np.int64(versions[at]), points[at]
         c = charts.consumed_by[version]
         while c >= 0:
-            at = charts.slots[c]
-            m, split = charts.slots[c + 1] - at - 2, charts.split[c]
-            t = charts.consumed_at[version]
-            uv = charts.uv[at + c : at + c + m + 3]
-            x, y = place_in_plane(uv, face_corners(t, m, split, False), charts.corner[at + t], point)
-            guess = t if t < m else (0 if t == m else split)
-            version = charts.first[c] + locate(charts, c, x, y, guess, True, point)
+            start = charts.starts[c, UV]
+            begin, end = charts.starts[c, MADE] - n_input, charts.starts[c + 1, MADE] - n_input
+            row = np.int64(charts.consumed_at[version])
+            x, y = place_in_plane(charts.uv, start, charts.before, row, point)
+            guess = begin + charts.before[row, 3]
+            version = n_input + locate(charts.uv, start, charts.after, begin, end, guess, x, y, point)
             c = charts.consumed_by[version]
-        versions[row] = version
+        versions[at] = version

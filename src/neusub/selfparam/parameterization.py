@@ -157,6 +157,10 @@ class SelfParameterization:
             raise ParameterizationError(f"{path}: not a readable safetensors file ({error}).") from None
         if header.get("format") != FORMAT:
             raise ParameterizationError(f"{path}: the header's format is {header.get('format')!r}, not {FORMAT!r}.")
+        needed = ["faces", "decimated", "versions", "fine.vertices", "fine.faces"]
+        missing = [name for name in needed + [f"charts.{name}" for name in Charts._fields] if name not in arrays]
+        if missing:
+            raise ParameterizationError(f"{path}: it lacks {', '.join(missing)}. Save the map again.")
         fine = Mesh(**{key[5:]: array for key, array in arrays.items() if key.startswith("fine.")})
         charts = Charts(*(arrays[f"charts.{name}"] for name in Charts._fields))
         return cls(fine, arrays["faces"], arrays["decimated"], arrays["versions"], charts, header["reached"],

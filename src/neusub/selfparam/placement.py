@@ -40,7 +40,7 @@ class Strategy:
     code: int
     spread: float = 0.0  # weight of the distances to the vertices themselves, beside those to the planes
     choices: int = 0  # collapse the cheapest of so many random edges; 0: the cheapest of all
-    keeps_vertices: bool = False  # the merged vertex is one of the two: in the plane too
+    keeps_appearance: bool = False  # UVs, colours and normals count too (`appearance.py`)
 
 
 STRATEGIES = {
@@ -48,7 +48,8 @@ STRATEGIES = {
     "random": Strategy(QUADRIC, choices=100, spread=0.003),
     "edge-length": Strategy(EDGE_LENGTH),
     "uniform": Strategy(QUADRIC, spread=0.1),
-    "removal": Strategy(REMOVAL, keeps_vertices=True),
+    "appearance": Strategy(QUADRIC, keeps_appearance=True),
+    "removal": Strategy(REMOVAL),  # the merged vertex is one of the two, in the plane too
 }
 
 
@@ -77,6 +78,9 @@ def minimise(quadric, mx, my, mz, position):
     z = -(q[2] * mx + q[4] * my + q[5] * mz + q[8])
     c0, c1, c2 = yy * zz - yz * yz, xz * yz - xy * zz, xy * yz - xz * yy
     determinant = xx * c0 + xy * c1 + xz * c2
+    if not determinant > 0.0:  # no plane at all: faces without area
+        position[0], position[1], position[2] = mx, my, mz
+        return
     position[0] = mx + (c0 * x + c1 * y + c2 * z) / determinant
     position[1] = my + (c1 * x + (xx * zz - xz * xz) * y + (xy * xz - xx * yz) * z) / determinant
     position[2] = mz + (c2 * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z) / determinant
@@ -102,6 +106,28 @@ def place_edge(code, user, a, b, quadric, position):
     return evaluate(quadric, position[0], position[1], position[2])
 
 
+@njit(**COMPILED)
+def subtract_mean(quadric, gradients, j, k, attribute):
+    """Take (m, n)(m, n)^T / W of an edge's two vertices off its quadric, in place (`appearance.py`)."""
+    total = gradients[j, attribute, 4] + gradients[k, attribute, 4]
+    if total <= 0.0:
+        return
+    mx = gradients[j, attribute, 0] + gradients[k, attribute, 0]
+    my = gradients[j, attribute, 1] + gradients[k, attribute, 1]
+    mz = gradients[j, attribute, 2] + gradients[k, attribute, 2]
+    n = gradients[j, attribute, 3] + gradients[k, attribute, 3]
+    quadric[0] -= mx * mx / total
+    quadric[1] -= mx * my / total
+    quadric[2] -= mx * mz / total
+    quadric[3] -= my * my / total
+    quadric[4] -= my * mz / total
+    quadric[5] -= mz * mz / total
+    quadric[6] -= mx * n / total
+    quadric[7] -= my * n / total
+    quadric[8] -= mz * n / total
+    quadric[9] -= n * n / total
+
+
 def vertex_quadrics(
     positions: Float64[ndarray, "nV 3"], topology: Topology, spread: float
 ) -> Float64[ndarray, "nV 10"]:
@@ -111,29 +137,42 @@ def vertex_quadrics(
     vertex itself: the costs then even out the area that a coarse vertex stands for, as k-means would.
     """
     corners = positions[topology.faces]
-    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    size = np.linalg.norm(normal, axis=1)
-    unit = np.divide(normal, size[:, None], out=np.zeros_like(normal), where=size[:, None] > 0)
+    unit, size = unit_normals(corners)
     quadrics = np.zeros((len(positions), 10))
     scatter(quadrics, topology.faces, plane_quadrics(unit, corners[:, 0], size / 2))
     area = np.bincount(topology.faces.reshape(-1), np.repeat(size / 6, 3), len(positions))
     for axis in range(3):
         quadrics += plane_quadrics(np.eye(3)[[axis]], positions, spread * area)
-    halfedges = topology.edge_halfedges[topology.is_boundary_edge].max(axis=1)
-    if len(halfedges):
-        face, corner = halfedges // 3, halfedges % 3
-        ends = np.stack([topology.faces[face, corner], topology.faces[face, (corner + 1) % 3]], axis=1)
-        along = positions[ends[:, 1]] - positions[ends[:, 0]]
-        wall = np.cross(along, unit[face])
-        length = np.linalg.norm(wall, axis=1, keepdims=True)
-        wall = np.divide(wall, length, out=np.zeros_like(wall), where=length > 0)
-        scatter(quadrics, ends, plane_quadrics(wall, positions[ends[:, 0]], BORDER * length[:, 0] ** 2))
+    border = topology.edge_halfedges[topology.is_boundary_edge].max(axis=1)
+    add_walls(quadrics, positions, topology.faces, unit, border)
     return quadrics
 
 
+def add_walls(quadrics: ndarray, positions: ndarray, faces: ndarray, unit: ndarray, halfedges: ndarray) -> None:
+    """Add, in place, the planes that stand on half-edges' faces (unit normals given) along these edges."""
+    face, corner = halfedges // 3, halfedges % 3
+    ends = np.stack([faces[face, corner], faces[face, (corner + 1) % 3]], axis=1)
+    wall = np.cross(positions[ends[:, 1]] - positions[ends[:, 0]], unit[face])
+    length = np.linalg.norm(wall, axis=1, keepdims=True)
+    wall = np.divide(wall, length, out=np.zeros_like(wall), where=length > 0)
+    scatter(quadrics, ends, plane_quadrics(wall, positions[ends[:, 0]], BORDER * length[:, 0] ** 2))
+
+
+def unit_normals(corners: Float64[ndarray, "nF 3 3"]) -> tuple[Float64[ndarray, "nF 3"], Float64[ndarray, " nF"]]:
+    """Unit normals, zero where there is no area, and twice the areas."""
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    size = np.linalg.norm(normal, axis=1)
+    return np.divide(normal, size[:, None], out=np.zeros_like(normal), where=size[:, None] > 0), size
+
+
 def plane_quadrics(normal: ndarray, point: ndarray, weight: ndarray) -> Float64[ndarray, "n 10"]:
-    offset = -(normal * point).sum(axis=1)
-    (x, y, z), d = np.broadcast_to(normal, point.shape).T, offset
+    """weight (n.p - n.point)^2"""
+    return affine_quadrics(np.broadcast_to(normal, point.shape), -(normal * point).sum(axis=1), weight)
+
+
+def affine_quadrics(gradient: ndarray, offset: ndarray, weight: ndarray) -> Float64[ndarray, "n 10"]:
+    """weight (g.p + d)^2"""
+    (x, y, z), d = gradient.T, offset
     return weight[:, None] * np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x * d, y * d, z * d, d * d], axis=1)
 
 

@@ -14,6 +14,7 @@ from jaxtyping import Bool, Float64, Int64
 from numpy import ndarray
 
 from neusub.errors import ParameterizationError
+from neusub.mesh import Mesh
 from neusub.selfparam.parameterization import Refinement, SelfParameterization, refinement, weighted
 from neusub.topology import build_topology
 
@@ -41,7 +42,7 @@ def transfer_corners(
     """
     signal = checked_signal(uv, uv_faces, len(parameterization.fine.faces))
     refined = refinement(parameterization.faces, len(parameterization.decimated), levels)
-    seams, chart = find_seams(parameterization, signal)
+    seams, chart = find_seams(parameterization.fine, signal)
     values, chart_at = corner_values(parameterization, refined, signal, chart)
     centre, _ = parameterization.to_fine(refined.owner, refined.corners.mean(axis=1))
     crosses = (chart_at != chart[centre][:, None]).any(axis=1)
@@ -80,14 +81,12 @@ def checked_signal(uv: Any, uv_faces: Any, n_faces: int) -> Signal:
 # --- seams -------------------------------------------------------------------------------------------------------
 
 
-def find_seams(
-    parameterization: SelfParameterization, signal: Signal
-) -> tuple[Int64[ndarray, " nSeams"], Int64[ndarray, " nF"]]:
+def find_seams(fine: Mesh, signal: Signal) -> tuple[Int64[ndarray, " nSeams"], Int64[ndarray, " nF"]]:
     """A half-edge of each seam, and each fine face's chart."""
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    fine, (rows, row_of, close) = parameterization.fine, signal
+    rows, row_of, close = signal
     there, back = fine.topology.edge_halfedges[~fine.topology.is_boundary_edge].T
     tail, head = row_of.reshape(-1), row_of[:, [1, 2, 0]].reshape(-1)
     joined = np.ones(len(there), dtype=bool)

@@ -22,11 +22,14 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-__all__ = ["Ring", "Surface", "collapse_edge", "gather_ring", "make_ring"]
+__all__ = ["FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "collapse_edge", "gather_ring", "make_ring"]
 
 # The kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third of the
 # time).  Then no array is assigned to a slice as a whole; `copy_row` does it.  Divisions by zero give inf, as in numpy.
 COMPILED = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
+
+
+FREE, ON_SEAM, FIXED = range(3)
 
 
 class Surface(NamedTuple):
@@ -37,7 +40,8 @@ class Surface(NamedTuple):
     twins: ndarray  # (3 nF,) int32: the half-edge the other way; -1 on the boundary
     starts: ndarray  # (nV,) int32: a half-edge that leaves the vertex; on the boundary the one without twin
     versions: ndarray  # (nF,) int32: current version of each face (`mapping.py`)
-    is_fixed: ndarray  # (nV,) bool: vertices that never move (sharp corners of a boundary)
+    holds: ndarray  # (nV,) uint8: FREE; ON_SEAM, it moves along the seam only; FIXED, it never moves
+    is_seam: ndarray  # (3 nF,) bool: half-edges along a seam of the texture, both of an edge
     marks: ndarray  # (nV,) int32: scratch of `has_repetition`
 
 
@@ -177,6 +181,11 @@ def remove_face(surface, h):
     """Take the face of h = j -> k out and close the slit: its other two edges become one."""
     into, out = twin_of(surface, after(h)), twin_of(surface, before(h))  # c -> k and j -> c, beyond the face
     join(surface, into, out)
+    is_seam = surface.is_seam[after(h)] | surface.is_seam[before(h)]
+    if into >= 0:
+        surface.is_seam[into] = is_seam
+    if out >= 0:
+        surface.is_seam[out] = is_seam
     c = tail(surface, before(h))
     if surface.starts[c] == before(h):
         surface.starts[c] = into
