@@ -43,13 +43,16 @@ class Strategy:
     keeps_appearance: bool = False  # UVs, colours and normals count too (`appearance.py`)
 
 
+# Where the surface is nearly flat all costs are nearly nothing; a little spread then keeps the triangles even.  It takes
+# 3 to 9 % off the mean distance of the remeshes of bunny and armadillo, and a third off their Hausdorff distance.
+TIES = 0.0003
 STRATEGIES = {
-    "quadric": Strategy(QUADRIC),
+    "quadric": Strategy(QUADRIC, spread=TIES),
     "random": Strategy(QUADRIC, choices=100, spread=0.003),
     "edge-length": Strategy(EDGE_LENGTH),
     "uniform": Strategy(QUADRIC, spread=0.1),
-    "appearance": Strategy(QUADRIC, keeps_appearance=True),
-    "removal": Strategy(REMOVAL),  # the merged vertex is one of the two, in the plane too
+    "appearance": Strategy(QUADRIC, spread=TIES, keeps_appearance=True),
+    "removal": Strategy(REMOVAL, spread=TIES),  # the merged vertex is one of the two, in the plane too
 }
 
 
