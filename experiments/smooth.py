@@ -47,8 +47,7 @@ def score(result: TrainingResult, files: list[Path]) -> dict[str, float]:
 def main() -> None:
     options = parser_of(__doc__).parse_args()
     files = pair_files(options.source, options.runs / "pairs")
-    config = replace(PRESETS["fast"], epochs=300, relative=True, loss="distance", seed=options.seed,
-                     threads=options.threads)
+    config = replace(PRESETS["fast"], seed=options.seed, threads=options.threads)
     result = train(files["train"], files["validation"], options.runs / f"smooth-{options.seed}", config, resume=True,
                    on_epoch=lambda row: print(row, flush=True))
     command = f"python experiments/smooth.py cartoon_elephant.npz --runs runs --seed {options.seed} --ship"

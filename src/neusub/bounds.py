@@ -19,15 +19,15 @@ def heights_of(groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Te
 
 def bounded(
     move: Float[Tensor, "m 3"], groups: FlapGroups, edges: Float[Tensor, "3 3 n"], heights: Float[Tensor, " m"],
-    bound: float,
+    bound: tuple[float, float],
 ) -> Float[Tensor, "m 3"]:
-    """Displacements no longer than `bound` times the shortest edge of their half-flaps, and times the height.
+    """Displacements no longer than bound[0] times the shortest edge of their half-flaps, and bound[1] times the height.
 
     Weights that never saw a thin triangle or a short edge would displace by more than the edge and fold the surface;
-    on a flat patch they leave a ripple.  On meshes like the training's this changes next to nothing.
+    on a flat patch they leave a ripple.  On the training's meshes this costs a tenth of the validation loss at most.
     """
     e1, e2, e3 = edges
     squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).amin(0)
     shortest = torch.segment_reduce(squared, "min", offsets=groups.offsets).sqrt()
     length = torch.linalg.norm(move, dim=1).clamp(min=torch.finfo(move.dtype).tiny)
-    return move * (bound * torch.minimum(shortest, heights) / length).clamp(max=1)[:, None]
+    return move * (torch.minimum(bound[0] * shortest, bound[1] * heights) / length).clamp(max=1)[:, None]

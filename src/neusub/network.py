@@ -106,7 +106,7 @@ class HalfFlapMLP(nn.Module):
         super().__init__()
         self.channels, self.vectors = channels, vectors  # of each corner's value; whether it turns with the frame
         self.relative = relative
-        self.bound: float | None = None
+        self.bound: tuple[float, float] | None = None
         self.first = nn.Linear(9 + 4 * channels, width)
         self.hidden = nn.Linear(width, width)
         self.last = nn.Linear(width, 3 + features)
@@ -136,9 +136,8 @@ class HalfFlapMLP(nn.Module):
     def _part(self, groups, positions, values, heights, edge_columns, value_columns):
         edges = edge_vectors(groups, positions)
         axes, defined = local_frames(edges)
-        unit_axes, size = axes, sizes(edges) if self.relative else None
-        if size is not None:
-            unit_axes = axes / size
+        size = sizes(edges) if self.relative else None
+        unit_axes = axes if size is None else axes / size
         if self.vectors:
             inputs = in_frames(torch.cat([edges, gather_corners(groups, values)]), unit_axes)
             hidden = linear(inputs.T, torch.cat([edge_columns, *value_columns], dim=1), self.first.bias)
@@ -172,7 +171,8 @@ class NeuralSubdivision(nn.Module):
     no scale; bound, for use and not for training, see `bounds.py` (None leaves the displacements as they are).
     """
 
-    def __init__(self, width: int = 32, features: int = 29, bound: float | None = None, relative: bool = False):
+    def __init__(self, width: int = 32, features: int = 29, bound: tuple[float, float] | None = None,
+                 relative: bool = False):
         super().__init__()
         self.initial = HalfFlapMLP(3, width, features, vectors=True, relative=relative)
         self.vertex = HalfFlapMLP(features, width, features, vectors=False, relative=relative)

@@ -30,7 +30,7 @@ from neusub.topology import Topology, connected_components, topology_levels
 __all__ = ["Subdivider", "model_names", "subdivide"]
 
 FORMAT = "neusub-model-1"
-DEFAULT_MODEL = "elephant"
+DEFAULT_MODEL = "smooth"
 Scheme = Literal["neural", "loop", "butterfly", "midpoint"]
 Scale = Literal["edge", "box", "none"]
 
@@ -72,10 +72,11 @@ class Subdivider:
         card = {key: value for key, value in header.items() if key not in ("format", "version")}
         architecture = card.get("architecture", {})
         try:
-            network = NeuralSubdivision(architecture["width"], architecture["features"], architecture.get("bound"),
+            bound = checked_bound(architecture.get("bound"))
+            network = NeuralSubdivision(architecture["width"], architecture["features"], bound,
                                         architecture.get("relative", False))
             network.load_state_dict(weights)
-        except (KeyError, RuntimeError) as error:
+        except (KeyError, RuntimeError, TypeError, ValueError) as error:
             raise ModelError(f"{path}: the weights do not fit the architecture {architecture} ({error}).") from None
         return cls(network.to(resolve_device(device), dtype), card)
 
@@ -142,6 +143,14 @@ def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, " nV"], 
     lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)
     mean = np.bincount(component[a], lengths, count) / np.bincount(component[a], minlength=count)
     return np.where(mean > 0, mean, 1.0)
+
+
+def checked_bound(bound: Any) -> tuple[float, float] | None:
+    """The card's bounds of displacements (`bounds.py`).  Raises ValueError where they are no pair."""
+    if bound is None:
+        return None
+    edge, height = bound
+    return float(edge), float(height)
 
 
 def resolve_device(device: str) -> str:

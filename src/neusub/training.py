@@ -31,7 +31,7 @@ from neusub.subdivider import Subdivider, resolve_device
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 
-BOUND = 0.3  # of the shortest edge around, for the displacements of a trained model (`network.bounded`)
+BOUND = (0.2, 0.3)  # of the shortest edge and of the height, for the displacements of a trained model (`bounds.py`)
 KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed
 
 
@@ -263,7 +263,7 @@ def load_checkpoint(path: Path, run: _Run) -> None:
     if run.config.schedule == "constant":
         free.add("epochs")
     for field in fields(TrainingConfig):
-        was, now = header["config"].get(field.name), getattr(run.config, field.name)
+        was, now = header["config"].get(field.name, field.default), getattr(run.config, field.name)
         if was != now and field.name not in free:
             raise TrainingError(f"{path}: the run has {field.name} = {was!r}, not {now!r}. Resume it with its own "
                                 "options, or choose another folder.")

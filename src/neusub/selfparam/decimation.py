@@ -18,7 +18,7 @@ from neusub.selfparam.criteria import REASONS, Criteria
 from neusub.selfparam.flatten import make_solver
 from neusub.selfparam.mapping import CAPACITY, grown, make_charts, trimmed
 from neusub.selfparam.parameterization import SelfParameterization
-from neusub.selfparam.placement import STRATEGIES, USER, Strategy, no_user, vertex_quadrics
+from neusub.selfparam.placement import STRATEGIES, TIES, USER, Strategy, no_user, vertex_quadrics
 from neusub.selfparam.queue import make_queue
 from neusub.selfparam.surface import FIXED, FREE, Surface, make_ring
 from neusub.topology import Topology
@@ -112,7 +112,9 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         holds[sharp_boundary_vertices(positions, topology, sharp_boundary_angle)] = FIXED
     surface = Surface(positions, mesh.faces.astype(np.int32), topology.twins.astype(np.int32), starts,
                       np.arange(n_faces, dtype=np.int32), holds, is_seam, np.zeros(len(positions), np.int32))
-    quadrics, gradients = vertex_quadrics(positions, topology, plan.spread), np.zeros((len(positions), 0, 5))
+    is_open = bool(topology.is_boundary_edge.any())
+    spread = TIES if plan.breaks_ties and not is_open else plan.spread
+    quadrics, gradients = vertex_quadrics(positions, topology, spread), np.zeros((len(positions), 0, 5))
     if plan.keeps_appearance:
         more, gradients = attribute_quadrics(mesh, positions)
         quadrics += more
