@@ -10,7 +10,8 @@ from safetensors.torch import load_file
 import shapes
 from neusub.configuration import TrainingConfig
 from neusub.errors import TrainingError
-from neusub.generation import Pair, save_pairs
+from neusub.generation import Pair, batch_pairs, load_pairs, save_pairs
+from neusub.mesh import Mesh
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
@@ -37,9 +38,13 @@ def files(tmp_path):
     return [tmp_path / "train.safetensors"], [tmp_path / "validation.safetensors"]
 
 
-@pytest.mark.parametrize("batch, schedule", [(1, "constant"), (3, "cosine")])
-def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(files, tmp_path, batch, schedule):
-    config = replace(CONFIG, batch=batch, schedule=schedule)
+@pytest.mark.parametrize("options", [
+    {"batch": 1, "schedule": "constant"},
+    {"batch": 3, "schedule": "cosine"},
+    {"batch": 3, "relative": True, "loss": "distance"},
+])
+def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(files, tmp_path, options):
+    config = replace(CONFIG, **options)
     train(*files, tmp_path / "whole", config)
 
     class Interrupted(Exception):
@@ -104,3 +109,23 @@ def test_a_run_at_a_constant_rate_can_be_prolonged(files, tmp_path):
 def test_a_loss_that_is_not_finite_is_a_named_error(files, tmp_path):
     with pytest.raises(TrainingError, match="not finite"):
         train(*files, tmp_path / "run", replace(CONFIG, learning_rate=1e30))
+
+
+def test_a_relative_network_is_saved_as_one_and_knows_no_scale(files, tmp_path):
+    train(*files, tmp_path / "run", replace(CONFIG, epochs=1, relative=True, loss="distance"))
+    model = Subdivider.load(tmp_path / "run" / "model.safetensors", dtype=torch.float64)
+    assert model.card["architecture"]["relative"] is True
+    vertices, faces = shapes.torus(8, 6)
+    one, large = (model.subdivide(Mesh(s * vertices, faces), 1, scale="none")[-1].vertices for s in (1.0, 1000.0))
+    np.testing.assert_allclose(large / 1000, one, atol=1e-12)
+
+
+def test_the_loss_of_distances_is_not_carried_by_a_few_bad_targets(files):
+    pairs = load_pairs(files[0][0])[:1]
+    good = batch_pairs(pairs)
+    bad = pairs[0].targets.copy()
+    bad[-1] += 10
+    spoiled = batch_pairs([replace(pairs[0], targets=bad)])
+    outputs = [good.targets[: len(weight)] + 0.01 for weight in good.weights]
+    grown = {kind: float(spoiled.loss(outputs, kind) / good.loss(outputs, kind)) for kind in ("squared", "distance")}
+    assert grown["distance"] < 0.05 * grown["squared"]

@@ -102,6 +102,8 @@ def train_command(
     learning_rate: float | None = None,
     levels: int | None = None,
     input: Literal["on_surface", "decimated"] | None = None,
+    relative: bool | None = None,
+    loss: Literal["squared", "distance"] | None = None,
     seed: int | None = None,
     device: str | None = None,
     threads: int | None = None,
@@ -119,12 +121,15 @@ def train_command(
         learning_rate: Of Adam.
         levels: Levels of the network.
         input: Where the coarse vertices lie.
+        relative: Lengths of each half-flap in units of its own mean edge: the network knows no scale.
+        loss: Squared errors as in the paper, or distances, which a few bad targets do not carry.
         seed: Of weights and order.
         device: auto, cpu, cuda, ...
         threads: CPU threads.
         resume: Go on with the run in OUT.
     """
     given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "levels": levels, "input": input,
+             "relative": relative, "loss": loss,
              "seed": seed, "device": device, "threads": threads}
 
     def work(_: Path) -> list[str]:

@@ -24,7 +24,7 @@ from neusub.topology import radix_order, topology_levels
 if TYPE_CHECKING:
     from neusub.selfparam.report import MapReport
 
-__all__ = ["Refinement", "SelfParameterization", "refined_points", "refinement"]
+__all__ = ["Refinement", "SelfParameterization", "refinement"]
 
 FORMAT = "neusub-map-1"
 CHUNK = 4096  # points a thread takes at a time
@@ -98,8 +98,8 @@ class SelfParameterization:
         if len(values) != len(self.fine.vertices):
             raise ParameterizationError(f"values has {len(values)} rows for {len(self.fine.vertices)} fine vertices: "
                                         "give one for each.")
-        at, barycentric, _ = refined_points(self.faces, len(self.decimated), levels)
-        faces, barycentric = self.to_fine(at, barycentric)
+        refined = refinement(self.faces, len(self.decimated), levels)
+        faces, barycentric = self.to_fine(refined.at, refined.barycentric)
         return weighted(values, self.fine.faces[faces], barycentric)
 
     def transfer_corners(
@@ -253,10 +253,3 @@ def refinement(faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int) -> R
                                   ((a, ab, ca), (b, bc, ab), (c, ca, bc), (bc, ca, ab))])
         owner = np.concatenate([owner] * 4)
     return Refinement(at, barycentric, tuple(sizes), refined, owner, corners)
-
-
-def refined_points(
-    faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int
-) -> tuple[Int64[ndarray, " nV_L"], Float64[ndarray, "nV_L 3"], tuple[int, ...]]:
-    """The vertices of a midpoint refinement as points of the coarse faces, and how many there are at each level."""
-    return refinement(faces, n_vertices, levels)[:3]
