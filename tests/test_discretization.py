@@ -101,6 +101,7 @@ def test_total_spreads_evenly_over_the_sources():
     assert PairConfig(per_mesh=5).counts(2) == {"train": [5, 5], "validation": [0, 0]}
 
 
+@pytest.mark.filterwarnings("ignore:.*tasks which were still being processed")  # joblib, as the strict call stops
 def test_a_source_that_fails_is_listed_with_its_reason_and_the_others_go_on(sources, tmp_path):
     bad = tmp_path / "bad.obj"
     bad.write_text("v 0 0 0\nv 1 0 0\nv nan 1 0\nf 1 2 3\n")
