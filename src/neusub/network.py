@@ -126,14 +126,14 @@ class HalfFlapMLP(nn.Module):
         if not self.vectors:  # gather and sum products of vertices: a vertex has six half-flaps, each with four corners
             bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
             values = linear(values, torch.cat(value_columns), bias).view(-1, len(self.first.bias))
-        parts = list(groups.chunks()) if not torch.is_grad_enabled() else [groups]
-        results = [self._part(part, positions, values, heights, edge_columns, value_columns) for part in parts]
-        moves, hidden, high = zip(*results)
-        # The last layer is linear: the mean of its features is its value at the mean.
-        learned = linear(torch.cat(hidden), self.last.weight[3:], self.last.bias[3:]) if features else None
-        return torch.cat(moves), learned, None if self.bound is None else torch.cat(high)
+        parts = groups.chunks() if not torch.is_grad_enabled() else [groups]
+        shared = positions, values, heights, edge_columns, value_columns, features
+        results = [self._part(part, *shared) for part in parts]
+        if len(results) == 1:
+            return results[0]
+        return tuple(None if rows[0] is None else torch.cat(rows) for rows in zip(*results))  # type: ignore[return-value]
 
-    def _part(self, groups, positions, values, heights, edge_columns, value_columns):
+    def _part(self, groups, positions, values, heights, edge_columns, value_columns, features):
         edges = edge_vectors(groups, positions)
         axes, defined = local_frames(edges)
         size = sizes(edges) if self.relative else None
@@ -150,18 +150,17 @@ class HalfFlapMLP(nn.Module):
             axes = torch.where(defined, axes, 0)
             count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
         local = linear(hidden, self.last.weight[:3], self.last.bias[:3]).T.contiguous()
-        if size is not None:
-            local = local * size
-        move = (local[:, None] * axes).sum(0)
+        move = ((local if size is None else local * size)[:, None] * axes).sum(0)
         move = pool(groups, move.T.contiguous()) / count
-        hidden = pool(groups, hidden) / count
+        # The last layer is linear: the mean of its features is its value at the mean.
+        learned = linear(pool(groups, hidden) / count, self.last.weight[3:], self.last.bias[3:]) if features else None
         if self.bound is None:
-            return move, hidden, None
+            return move, learned, None
         if heights is None:
             heights = heights_of(groups, edges, axes)
         else:
             heights = torch.segment_reduce(heights[groups.corners[:, 0]], "max", offsets=groups.offsets)
-        return bounded(move, groups, edges, heights, self.bound), hidden, heights
+        return bounded(move, groups, edges, heights, self.bound), learned, heights
 
 
 class NeuralSubdivision(nn.Module):

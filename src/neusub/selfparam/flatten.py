@@ -4,9 +4,9 @@ Before: a free-boundary conformal map of the ring's faces.  Each triangle's conf
 2002 (least-squares conformal maps), |sum W u|^2 / (2 A) over complex u, a Hermitian form; the map is its smallest
 eigenvector beside the constants, as in Mullen et al. 2008, by inverse iteration.  The faces of the collapsed ring
 enter the same energy: the paper flattens the ring before alone, and then has to fit the ring after into an outline
-that was made for another surface.  Taken together, distortion and flips fall (bunny, 500 faces: 0.07 % to 0.05 % of
-the level-2 triangles flipped; horse: 0.05 % to 0.01 %).  Along a boundary edge (j, k) the boundary neighbours a and b
-of j and k are held at 0 and 1, and j, k and the merged vertex on the line between them.
+that was made for another surface.  Taken together, distortion and flips fell (bunny, 500 faces: 0.07 % to 0.05 % of
+the level-2 triangles flipped; horse: 0.05 % to 0.01 %; measured when this came in).  Along a boundary edge (j, k) the
+boundary neighbours a and b of j and k are held at 0 and 1, and j, k and the merged vertex on the line between them.
 
 After: the outline stays, so its area does; the conformal place of the one free vertex is then the cotangent-weighted
 mean of the ring.
