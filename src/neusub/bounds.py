@@ -24,7 +24,8 @@ def bounded(
     """Displacements no longer than bound[0] times the shortest edge of their half-flaps, and bound[1] times the height.
 
     Weights that never saw a thin triangle or a short edge would displace by more than the edge and fold the surface;
-    on a flat patch they leave a ripple.  On the training's meshes this costs a tenth of the validation loss at most.
+    on a flat patch they leave a ripple.  They raise the validation loss of `smooth` by 9 % on the elephants
+    and by 27 % on the closed forms.
     """
     e1, e2, e3 = edges
     squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).amin(0)
