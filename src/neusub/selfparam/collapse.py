@@ -15,7 +15,17 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.selfparam.criteria import BOUNDARY, LEGAL, LINK, VALENCE, check_plane, check_space
+from neusub.selfparam.criteria import (
+    BOUNDARY,
+    LEGAL,
+    LINK,
+    PLANE_AFTER,
+    PLANE_BEFORE,
+    VALENCE,
+    check_plane,
+    check_space,
+    is_tiny,
+)
 from neusub.selfparam.flatten import Solver, flatten_after, flatten_before
 from neusub.selfparam.mapping import Charts, has_room, record
 from neusub.selfparam.placement import QUADRIC, REMOVAL, evaluate, place_edge, subtract_mean
@@ -59,7 +69,8 @@ class Work(NamedTuple):
     gradients: ndarray  # (nV, attributes, 5): `appearance.py`; no attributes for most strategies
     quadric: ndarray  # (10,) scratch: of the edge at hand
     position: ndarray  # (3,) scratch: where its merged vertex goes
-    criteria: ndarray  # (3,): `Criteria.packed`
+    criteria: ndarray  # (4,): `Criteria.packed`
+    area: ndarray  # (1,): of the fine surface
     counts: ndarray  # (reasons,) int64: how often each reason came up
     sizes: ndarray  # (3,) int64: vertices, faces, collapses since the queue was last filled
     random: ndarray  # (1,) uint64
@@ -209,18 +220,28 @@ def try_collapse(work, user, h):
     has_f1 = surface.twins[h] >= 0
     if not has_f1 and not merged and kept < 0 and (gap == 0 or gap == m - 1):
         kept = m if gap == 0 else m + 1  # an end with one face only is a corner: in the plane it stays
-    if not merged:
+    tiny = is_tiny(ring, m, work.area[0] / work.sizes[1], work.criteria)
+    if not merged and not tiny:
         reason = check_space(ring, m, split, gap, has_f1, work.criteria)
         if reason != LEGAL:
             return reason
-    is_conformal = work.options[2] > 0
-    flatten_before(work.solver, ring, m, split, gap, has_f1, merged, kept, is_conformal)
-    flatten_after(ring, m, gap, not has_f1 and not merged, kept, is_conformal)
-    reason = check_plane(ring, m, split, gap, has_f1, merged, work.criteria)
+    conformal = work.options[2] > 0
+    reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal)
+    if tiny and conformal and (reason == PLANE_BEFORE or reason == PLANE_AFTER):
+        reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, False)
     if reason != LEGAL:
         return reason
     merge(work, user, h, m, split, gap)
     return LEGAL
+
+
+@njit(**COMPILED)
+def flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal):
+    """Put the ring before and after into the plane; LEGAL, or which test fails there."""
+    ring = work.ring
+    flatten_before(work.solver, ring, m, split, gap, has_f1, merged, kept, conformal)
+    flatten_after(ring, m, gap, not has_f1 and not merged, kept, conformal)
+    return check_plane(ring, m, split, gap, has_f1, merged, tiny, work.criteria)
 
 
 @njit(**COMPILED)

@@ -25,6 +25,7 @@ REASONS = (
     "quality in the plane",
 )
 LEGAL, BOUNDARY, LINK, VALENCE, NORMAL, PLANE_BEFORE, PLANE_AFTER, QUALITY_SPACE, QUALITY_PLANE = range(len(REASONS))
+EQUILATERAL = 4 / 3**0.5  # squared edge over area
 SLIVER = 1e-8  # least area in the plane, over the squared edges: of less, points come back with few digits
 
 
@@ -37,11 +38,15 @@ class Criteria:
     vanish (not in the paper).
     min_quality: Q = 4 sqrt(3) A / (sum of the squared edges) of each face after must exceed this, or the worst of the
     ring before, whichever is less; in space and in the plane.
+    tiny: a ring that reaches no further than this times the mean edge of the mesh as it is then is exempt from the tests
+    of normals and quality, and comes to lie in a circle where the conformal map would turn faces over (not in the
+    paper).  Its faces are on their way to vanish: eyeballs behind lids that nearly close, for one, would stay whole.
     """
 
     min_normal_dot: float | None = 0.2
     min_quality: float | None = 0.2
     plane_flips: bool = True  # test that no face turns over in the plane, and that the ring goes around once
+    tiny: float | None = 0.6
 
     def __post_init__(self) -> None:
         for name in ("min_normal_dot", "min_quality"):
@@ -52,8 +57,9 @@ class Criteria:
     def packed(self) -> np.ndarray:
         """For the kernels: a test that is off is one that always passes."""
         off = (-2.0, -1.0)
-        normal, quality, plane = astuple(self)
-        return np.array([off[0] if normal is None else normal, off[1] if quality is None else quality, float(plane)])
+        normal, quality, plane, tiny = astuple(self)
+        return np.array([off[0] if normal is None else normal, off[1] if quality is None else quality, float(plane),
+                         (tiny or 0.0) ** 2])
 
 
 def refusals(counts: dict[str, int]) -> str:
@@ -132,6 +138,18 @@ def check_space(ring, m, split, gap, has_f1, criteria):
 
 
 @njit(**COMPILED)
+def is_tiny(ring, m, mean_area, criteria):
+    """Whether no vertex of the ring is far from the merged one, for faces of this mean area."""
+    points, farthest = ring.points, 0.0
+    for t in range(m):
+        squared = 0.0
+        for axis in range(3):
+            squared += (points[t, axis] - points[m + 2, axis]) ** 2
+        farthest = max(farthest, squared)
+    return farthest < criteria[3] * EQUILATERAL * mean_area
+
+
+@njit(**COMPILED)
 def plane_face(uv, a, b, c):
     """Twice the signed area, and the sum of the squared edges."""
     x1, y1 = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
@@ -157,8 +175,8 @@ def crosses_upward(uv, v, p, q):
 
 
 @njit(**COMPILED)
-def check_plane(ring, m, split, gap, has_f1, merged, criteria):
-    """Areas, angle sums and quality in the plane, before and after."""
+def check_plane(ring, m, split, gap, has_f1, merged, tiny, criteria):
+    """Areas, angle sums and, where the ring is not tiny, quality in the plane, before and after."""
     uv, points = ring.uv, ring.points
     worst_before, worst_after = 2.0, 2.0
     around_j = around_k = around_i = 0
@@ -196,7 +214,7 @@ def check_plane(ring, m, split, gap, has_f1, merged, criteria):
         if tests_flips and not (goes_round(around_j, 0 <= gap < split or not has_f1)
                                 and goes_round(around_k, gap >= split)):
             return PLANE_BEFORE
-        if worst_after <= min(criteria[1], worst_before):
+        if not tiny and worst_after <= min(criteria[1], worst_before):
             return QUALITY_PLANE
     # The fan must come back to its first ray once, on a boundary never: then its outline is simple, and the faces
     # before, which have the same one, do not lie upon each other either.

@@ -18,7 +18,15 @@ from neusub.selfparam.criteria import REASONS, Criteria
 from neusub.selfparam.flatten import make_solver
 from neusub.selfparam.mapping import CAPACITY, grown, make_charts, trimmed
 from neusub.selfparam.parameterization import SelfParameterization
-from neusub.selfparam.placement import STRATEGIES, TIES, USER, Strategy, no_user, vertex_quadrics
+from neusub.selfparam.placement import (
+    STRATEGIES,
+    TIES,
+    USER,
+    Strategy,
+    no_user,
+    unit_normals,
+    vertex_quadrics,
+)
 from neusub.selfparam.queue import make_queue
 from neusub.selfparam.surface import FIXED, FREE, Surface, make_ring
 from neusub.topology import Topology
@@ -131,6 +139,7 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         quadric=np.zeros(10),
         position=np.zeros(3),
         criteria=criteria.packed(),
+        area=np.array([unit_normals(positions[mesh.faces])[1].sum() / 2]),
         counts=np.zeros(len(REASONS), np.int64),
         sizes=np.array([len(positions), n_faces, 0]),
         random=np.random.SeedSequence(seed).generate_state(1, np.uint64),
