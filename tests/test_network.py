@@ -8,7 +8,9 @@ import neusub.flaps
 import shapes
 from neusub.flaps import level_flaps
 from neusub.generation import Batch, Pair, batch_pairs
-from neusub.network import NeuralSubdivision, differential_coordinates
+from neusub.configuration import Architecture
+from neusub.frames import differential_coordinates
+from neusub.network import NeuralSubdivision
 from neusub.topology import topology_levels
 
 GOLDEN_FILES = ("valid_001", "valid_005", "test_bunny", "test_horse")
@@ -28,7 +30,7 @@ def run(network, vertices, faces, levels=2):
 
 def random_network(seed=0, dtype=torch.float64, **options):
     torch.manual_seed(seed)
-    return NeuralSubdivision(**options).to(dtype)
+    return NeuralSubdivision(Architecture(**options)).to(dtype)
 
 
 def reference_network(golden, dtype):

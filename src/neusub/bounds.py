@@ -10,6 +10,8 @@ from neusub.flaps import FlapGroups
 
 __all__ = ["bounded", "heights_of"]
 
+NOTHING = 1e-6  # a bound below this, of a mesh at the training's scale, is that of a flat patch
+
 
 def heights_of(groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"]) -> Float[Tensor, " m"]:
     """How far the surface around each vertex is from flat: the largest height of v2 or v3 over the frame's plane."""
@@ -21,7 +23,9 @@ def bounded(
     move: Float[Tensor, "m 3"], groups: FlapGroups, edges: Float[Tensor, "3 3 n"], heights: Float[Tensor, " m"],
     bound: tuple[float, float],
 ) -> Float[Tensor, "m 3"]:
-    """Displacements no longer than bound[0] times the shortest edge of their half-flaps, and bound[1] times the height.
+    """Displacements shorter than bound[0] times the shortest edge of their half-flaps, and bound[1] times the height.
+
+    Smoothly: with x the length over its bound, it is divided by (1 + x^4)^(1/4), which is nearly 1 below a half.
 
     Weights that never saw a thin triangle or a short edge would displace by more than the edge and fold the surface;
     on a flat patch they leave a ripple.  They raise the validation loss of `smooth` by 9 % on the elephants
@@ -30,5 +34,6 @@ def bounded(
     e1, e2, e3 = edges
     squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).amin(0)
     shortest = torch.segment_reduce(squared, "min", offsets=groups.offsets).sqrt()
-    length = torch.linalg.norm(move, dim=1).clamp(min=torch.finfo(move.dtype).tiny)
-    return move * (torch.minimum(bound[0] * shortest, bound[1] * heights) / length).clamp(max=1)[:, None]
+    limit = torch.minimum(bound[0] * shortest, bound[1] * heights)
+    ratio = move.square().sum(1) / limit.clamp(min=NOTHING).square()
+    return move * ((1 + ratio.square()) ** -0.25 * (limit / NOTHING).clamp(max=1))[:, None]

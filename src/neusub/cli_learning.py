@@ -96,14 +96,13 @@ def train_command(
     out: Output,
     *,
     validation: tuple[Path, ...] = (),
-    preset: Literal["paper", "fast"] = "paper",
+    preset: Literal["paper", "fast", "default"] = "paper",
     epochs: int | None = None,
     batch: int | None = None,
     learning_rate: float | None = None,
     levels: int | None = None,
     input: Literal["on_surface", "decimated"] | None = None,
-    relative: bool | None = None,
-    loss: Literal["squared", "distance"] | None = None,
+    loss: Literal["squared", "distance", "surface"] | None = None,
     seed: int | None = None,
     device: str | None = None,
     threads: int | None = None,
@@ -115,22 +114,22 @@ def train_command(
         pairs: Pair files, or folders that 'neusub pairs' or 'neusub import-pairs' wrote.
         out: Folder for the model, checkpoint.safetensors, log.csv and TensorBoard events.
         validation: Pair files to choose the best epoch by.
-        preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs.
+        preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs; default:
+            the network that 'neusub subdivide' uses, which knows no scale and has bounds.
         epochs: Instead of the preset's; so are the following.
         batch: Meshes a step.
         learning_rate: Of Adam.
         levels: Levels of the network.
         input: Where the coarse vertices lie.
-        relative: Lengths of each half-flap in units of its own mean edge: the network knows no scale.
-        loss: Squared errors as in the paper, or distances, which a few bad targets do not carry.
+        loss: Squared errors as in the paper; distances, which a few bad targets do not carry; or distances to the
+            surface, with less weight along it.
         seed: Of weights and order.
         device: auto, cpu, cuda, ...
         threads: CPU threads.
         resume: Go on with the run in OUT.
     """
     given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "levels": levels, "input": input,
-             "relative": relative, "loss": loss,
-             "seed": seed, "device": device, "threads": threads}
+             "loss": loss, "seed": seed, "device": device, "threads": threads}
 
     def work(_: Path) -> list[str]:
         from neusub.generation import pair_files

@@ -5,7 +5,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["PRESETS", "PairConfig", "TrainingConfig"]
+__all__ = ["PRESETS", "Architecture", "PairConfig", "TrainingConfig"]
+
+
+@dataclass(frozen=True)
+class Architecture:
+    """What a network is; the defaults are the paper's."""
+
+    width: int = 32  # of the hidden layers
+    features: int = 29  # learned, of each vertex
+    vectors: int = 0  # learned too, and turning with the vertex's surroundings
+    relative: bool = False  # lengths of each half-flap in units of its own mean edge: the network knows no scale
+    residual: bool = False  # modules add to a vertex's features and vectors, instead of replacing them
+    activation: Literal["relu", "silu"] = "relu"
+    bound: tuple[float, float] | None = None  # of displacements, in shortest edges and in heights (`bounds.py`)
 
 
 @dataclass(frozen=True)
@@ -18,10 +31,8 @@ class TrainingConfig:
     schedule: Literal["constant", "cosine"] = "constant"  # cosine goes down to zero at the last epoch
     levels: int = 2
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
-    width: int = 32
-    features: int = 29  # learned, of each vertex
-    relative: bool = False  # lengths of each half-flap in units of its own mean edge
-    loss: Literal["squared", "distance"] = "squared"  # the paper's, or one that a few bad targets do not carry
+    network: Architecture = Architecture()
+    loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
     device: str = "auto"
     precision: str = "32-true"  # as Lightning Fabric names it
@@ -29,7 +40,7 @@ class TrainingConfig:
     checkpoint_every: int = 5  # epochs
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "levels", "width", "features", "checkpoint_every"):
+        for name in ("epochs", "batch", "levels", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: take at least 1.")
         if not self.learning_rate > 0:
@@ -39,6 +50,9 @@ class TrainingConfig:
 PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
+    "default": TrainingConfig(batch=2, schedule="cosine", epochs=150, learning_rate=1e-3, loss="surface",
+                              network=Architecture(40, 32, vectors=4, relative=True, residual=True, activation="silu",
+                                                   bound=(0.5, 0.6))),
 }
 
 

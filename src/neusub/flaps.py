@@ -120,7 +120,7 @@ class _SumRows(torch.autograd.Function):
         return grad, None, None, None, None
 
 
-def gather_corners(groups: FlapGroups, values: Float[Tensor, "nV 3"]) -> Float[Tensor, "4 3 n"]:
+def gather_corners(groups: FlapGroups, values: Float[Tensor, "nV c"]) -> Float[Tensor, "4 c n"]:
     """values[corners], one contiguous row a corner and coordinate."""
     flat = groups.corners.reshape(-1)
     if values.requires_grad:
@@ -128,7 +128,7 @@ def gather_corners(groups: FlapGroups, values: Float[Tensor, "nV 3"]) -> Float[T
         rows = _SumRows.apply(values, flat, groups.ones, order, starts[::4])
     else:
         rows = values.index_select(0, flat)
-    return rows.view(-1, 4, 3).permute(1, 2, 0).contiguous()
+    return rows.view(-1, 4, values.shape[1]).permute(1, 2, 0).contiguous()
 
 
 def sum_slots(groups: FlapGroups, table: Float[Tensor, "4*nV c"]) -> Float[Tensor, "n c"]:

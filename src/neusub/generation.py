@@ -30,12 +30,13 @@ from neusub import __version__
 from neusub.errors import PairFileError
 from neusub.files import replacing
 from neusub.flaps import LevelFlaps, level_flaps
-from neusub.topology import Topology, topology_levels
+from neusub.topology import Topology, refine_faces, topology_levels
 
 __all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "pair_files", "save_pairs"]
 
 FORMAT = "neusub-pairs-1"
 SMOOTH = 1e-5  # distances well below this count squared in the loss "distance"; the unit box's side is 1
+FORGIVEN = 0.5  # of the error along the surface, in the loss "surface"
 INPUTS = ("on_surface", "decimated")
 
 
@@ -246,17 +247,25 @@ class Batch:
     levels: list[LevelFlaps]
     targets: Float[torch.Tensor, "nV_L 3"]
     weights: list[Float[torch.Tensor, "nV_l 1"]]  # of each vertex's squared error: 1 / (coordinates of its mesh)
+    normals: Float[torch.Tensor, "nV_L 3"]  # of the targets, as vertices of the last level
 
     def loss(self, outputs: list[torch.Tensor], kind: str = "squared") -> torch.Tensor:
         """Sum over levels of a mesh's mean error, summed over the meshes.
 
-        kind: "squared", of the coordinates (paper, section 4); "distance", a third of the distance, smooth near zero.
+        kind: "squared", of the coordinates (paper, section 4); "distance", a third of the distance, smooth near zero,
+        which a few bad targets do not carry; "surface", the same where half of the error along the surface is forgiven,
+        for that does not move the surface.
         """
         terms = []
         for out, weight in zip(outputs, self.weights):
-            squared = (out - self.targets[: len(out)]).square()
-            if kind == "distance":
-                squared = (squared.sum(1, keepdim=True) + SMOOTH**2).sqrt() - SMOOTH
+            error = out - self.targets[: len(out)]
+            squared = error.square()
+            if kind != "squared":
+                squared = squared.sum(1, keepdim=True)
+                if kind == "surface":
+                    across = (error * self.normals[: len(out)]).sum(1, keepdim=True).square()
+                    squared = across + (1 - FORGIVEN) ** 2 * (squared - across).clamp(min=0)
+                squared = (squared + SMOOTH**2).sqrt() - SMOOTH
             terms.append((squared * weight).sum())
         return torch.stack(terms).sum()
 
@@ -275,6 +284,7 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
     else:
         topologies, _ = topology_levels(np.concatenate([p.faces + s for p, s in zip(pairs, starts)]),
                                         int(starts[-1]), depth)
+    last = refine_faces(topologies[-1])
     owner = np.repeat(np.arange(len(pairs)), np.diff(starts))
     owners = [owner]
     for topology in topologies:
@@ -291,7 +301,22 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
         [level_flaps(topology, device) for topology in topologies],
         torch.as_tensor(targets, dtype=dtype, device=device),
         weights,
+        torch.as_tensor(vertex_normals(targets, last), dtype=dtype, device=device),
     )
+
+
+def vertex_normals(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float[ndarray, "nV 3"]:
+    """Unit normals of the vertices, weighted by area; zero where they cancel."""
+    a, b, c = (positions[column].astype(np.float64) for column in faces.T)
+    normals = np.cross(b - a, c - a)
+    total = np.stack([np.bincount(faces.T.reshape(-1), np.tile(normals[:, k], 3), len(positions)) for k in range(3)], 1)
+    length = np.linalg.norm(total, axis=1, keepdims=True)
+    return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+
+def scaled(pair: Pair, factor: float) -> Pair:
+    decimated = None if pair.decimated is None else (factor * pair.decimated).astype(np.float32)
+    return replace(pair, targets=(factor * pair.targets).astype(np.float32), decimated=decimated)
 
 
 def shortened(pair: Pair, levels: int) -> Pair:

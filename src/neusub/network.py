@@ -4,196 +4,144 @@
                 old vertices, E adds the midpoints of the moved edges: levels 1 .. L.
     a module    looks at a half-flap (figure in `topology.py`) in its own frame, gives a displacement in that frame
                 and features; a vertex (I, V) takes the mean over its outgoing half-flaps, an edge (E) over its two.
-    frame       x along v1 - v0, z the normalised sum of the two unit face normals, y = z cross x.
+    frame       x along v1 - v0, z the normalised sum of the two unit face normals, y = z cross x (`frames.py`).
 
-Shapes: n half-flaps, m vertices or edges that pool them.  Vectors of half-flaps are stored (3, n), one row a
-coordinate: dot products then run over contiguous rows, several times faster than (n, 3).
+What is not in the paper is an option of `Architecture`.
+
+Shapes: n half-flaps, m vertices or edges that pool them, c learned features and k learned vectors of each vertex.
+Vectors of half-flaps are stored (3, n), one row a coordinate.
 """
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import linear
+from torch.nn.functional import linear, relu, silu
 
 from neusub.bounds import bounded, heights_of
+from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, gather_corners, pool, sum_slots
+from neusub.frames import differential_coordinates, edge_vectors, in_frames, local_frames, sizes, vertex_normals
 
-__all__ = ["HalfFlapMLP", "NeuralSubdivision", "differential_coordinates"]
+__all__ = ["HalfFlapMLP", "NeuralSubdivision"]
 
-
-# --- geometry of a half-flap -------------------------------------------------------------------------------------
-
-
-def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
-    """The vector's direction, and whether it has one: its length exceeds rounding errors of `size`, squared."""
-    squared = vector.square().sum(-2, keepdim=True)
-    limit = torch.finfo(vector.dtype)
-    defined = squared > (16 * limit.eps) ** 2 * size + limit.tiny
-    return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined
-
-
-def edge_vectors(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 3 n"]:
-    """v1 - v0, v2 - v0, v3 - v0.  A missing vertex is the other one's reflection through the edge's midpoint."""
-    origin, others = gather_corners(groups, positions).split([1, 3])
-    edges = others - origin
-    if groups.missing is None:
-        return edges
-    reflected = edges[:1] - edges[[2, 1]]
-    return torch.cat([edges[:1], torch.where(groups.missing[:, None], reflected, edges[1:])])
-
-
-def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"], Bool[Tensor, " n"]]:
-    """Axes x, y, z of each half-flap's frame, and whether it has one.
-
-    Where the two normals cancel, z is the left face's, and the right one's where the left face has none.
-    """
-    e1, e2, e3 = edges.unbind()
-    lengths = edges.detach().square().sum(1, keepdim=True)
-    x, has_edge = unit(e1, 0.0)
-    normals = torch.linalg.cross(torch.stack([e1, e3]), torch.stack([e2, e1]), dim=1)
-    normals, has_normal = unit(normals, lengths[:1] * lengths[1:])
-    z, has_both = unit(normals.sum(0), 1.0)
-    if not has_both.all():
-        z = torch.where(has_both, z, torch.where(has_normal[0], normals[0], normals[1]))
-    return torch.stack([x, torch.linalg.cross(z, x, dim=0), z]), (has_edge & has_normal.any(0))[0]
-
-
-def sizes(edges: Float[Tensor, "3 3 n"]) -> Float[Tensor, " n"]:
-    """Mean length of the five edges of each half-flap, as a constant; 1 where all its vertices coincide."""
-    e1, e2, e3 = edges.detach()
-    size = torch.linalg.norm(torch.stack([e1, e2, e3, e2 - e1, e3 - e1]), dim=1).mean(0)
-    return torch.where(size > 0, size, 1)
-
-
-def in_frames(vectors: Float[Tensor, "k 3 n"], axes: Float[Tensor, "3 3 n"]) -> Float[Tensor, "3*k n"]:
-    """Coordinates of k vectors of each half-flap in its frame."""
-    return (vectors[:, None] * axes).sum(2).flatten(0, 1)
-
-
-def differential_coordinates(
-    groups: FlapGroups, positions: Float[Tensor, "nV 3"]
-) -> Float[Tensor, "nV 3"]:
-    """Each vertex minus the mean of its neighbours.
-
-    A boundary vertex counts the reflected vertices of `edge_vectors` among its neighbours: on a straight border of a
-    regular flat patch it then has none, like a vertex inside, and the border is not drawn inwards.
-    """
-    parts = []
-    for part in groups.chunks():
-        edges = edge_vectors(part, positions)
-        use = torch.ones_like(edges[:, :1])
-        if part.missing is not None:
-            use[1:] = part.missing[:, None]
-        else:
-            edges, use = edges[:1], use[:1]
-        total = pool(part, torch.cat([(edges * use).sum(0), use.sum(0)]).T.contiguous())
-        parts.append(-total[:, :3] / total[:, 3:].clamp(min=1))
-    return torch.cat(parts)
-
-
-# --- the network -------------------------------------------------------------------------------------------------
+Values = tuple["Float[Tensor, 'nV c'] | None", "Float[Tensor, 'nV 3*k'] | None"]  # features and vectors of vertices
 
 
 class HalfFlapMLP(nn.Module):
     """One module (I, V or E): an MLP with two hidden layers on half-flaps, and the mean over each group.
 
-    The first layer's columns go vertex by vertex: value(v0), e1, value(v1), e2, value(v2), e3, value(v3).
+    The first layer's columns go vertex by vertex: value(v0), e1, value(v1), e2, value(v2), e3, value(v3), a value being
+    the features and then the vectors of a vertex.
     """
 
-    def __init__(self, channels: int, width: int, features: int, *, vectors: bool, relative: bool = False):
+    def __init__(self, plan: Architecture, features: int, vectors: int):
         super().__init__()
-        self.channels, self.vectors = channels, vectors  # of each corner's value; whether it turns with the frame
-        self.relative = relative
-        self.bound: tuple[float, float] | None = None
-        self.first = nn.Linear(9 + 4 * channels, width)
-        self.hidden = nn.Linear(width, width)
-        self.last = nn.Linear(width, 3 + features)
+        self.plan, self.features, self.vectors = plan, features, vectors  # that each corner brings
+        self.bound = plan.bound
+        self.first = nn.Linear(9 + 4 * (features + 3 * vectors), plan.width)
+        self.hidden = nn.Linear(plan.width, plan.width)
+        self.last = nn.Linear(plan.width, 3 + 3 * plan.vectors + plan.features)
+        self.activation = {"relu": relu, "silu": silu}[plan.activation]
         for layer in (self.first, self.hidden, self.last):
             nn.init.xavier_normal_(layer.weight)
             nn.init.zeros_(layer.bias)
 
     def forward(
-        self, groups: FlapGroups, positions: Float[Tensor, "nV 3"], values: Float[Tensor, "nV c"],
-        heights: Float[Tensor, " nV"] | None = None, features: bool = True,
-    ) -> tuple[Float[Tensor, "m 3"], Float[Tensor, "m f"] | None, Float[Tensor, " m"] | None]:
-        """Mean displacement of each group, in the axes of `positions`, its mean features, and, where displacements are
-        bounded, its height: of its vertex (`heights_of`), or from the `heights` of its two ends."""
-        columns = self.first.weight.split([self.channels, 3] * 3 + [self.channels], dim=1)
-        edge_columns = torch.cat(columns[1::2], dim=1)
-        value_columns = columns[::2]
-        if not self.vectors:  # gather and sum products of vertices: a vertex has six half-flaps, each with four corners
+        self, groups: FlapGroups, positions: Float[Tensor, "nV 3"], values: Values,
+        heights: Float[Tensor, " nV"] | None = None, learns: bool = True,
+    ) -> tuple[Float[Tensor, "m 3"], Values, Float[Tensor, " m"] | None]:
+        """Mean displacement of each group, in the axes of `positions`, its mean features and vectors (`learns`), and,
+        where displacements are bounded, its height: of its vertex, or from the `heights` of its two ends."""
+        corner = self.features + 3 * self.vectors
+        columns = self.first.weight.split([corner, 3] * 3 + [corner], dim=1)
+        turned = torch.cat([*columns[1::2], *(column[:, self.features :] for column in columns[::2])], dim=1)
+        table, vectors = values
+        if table is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
             bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
-            values = linear(values, torch.cat(value_columns), bias).view(-1, len(self.first.bias))
+            fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
+            table = linear(table, fixed, bias).view(-1, len(self.first.bias))
         parts = groups.chunks() if not torch.is_grad_enabled() else [groups]
-        shared = positions, values, heights, edge_columns, value_columns, features
-        results = [self._part(part, *shared) for part in parts]
-        if len(results) == 1:
-            return results[0]
-        return tuple(None if rows[0] is None else torch.cat(rows) for rows in zip(*results))  # type: ignore[return-value]
+        results = [self._part(part, positions, table, vectors, heights, turned, learns) for part in parts]
+        moves, features, vectors, heights = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
+                                             for rows in zip(*results))
+        return moves, (features, vectors), heights
 
-    def _part(self, groups, positions, values, heights, edge_columns, value_columns, features):
+    def _part(self, groups, positions, table, vectors, heights, turned, learns):
         edges = edge_vectors(groups, positions)
         axes, defined = local_frames(edges)
-        size = sizes(edges) if self.relative else None
-        unit_axes = axes if size is None else axes / size
-        if self.vectors:
-            inputs = in_frames(torch.cat([edges, gather_corners(groups, values)]), unit_axes)
-            hidden = linear(inputs.T, torch.cat([edge_columns, *value_columns], dim=1), self.first.bias)
-        else:
-            hidden = torch.addmm(sum_slots(groups, values), in_frames(edges, unit_axes).T, edge_columns.T)
-        hidden = self.hidden(hidden.relu_()).relu_()
+        size = sizes(edges) if self.plan.relative else None
+        seen = edges if size is None else edges / size
+        if vectors is not None:
+            seen = torch.cat([seen, gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)])
+        rows = self.first.bias if table is None else sum_slots(groups, table)
+        hidden = torch.addmm(rows, in_frames(seen, axes).T, turned.T)
+        hidden = self.activation(self.hidden(self.activation(hidden)))
         count = groups.offsets.diff().to(hidden.dtype)[:, None]
         if not defined.all():  # half-flaps without a frame are left out of the mean
             hidden = hidden * defined[:, None]
             axes = torch.where(defined, axes, 0)
             count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
-        local = linear(hidden, self.last.weight[:3], self.last.bias[:3]).T.contiguous()
-        move = ((local if size is None else local * size)[:, None] * axes).sum(0)
-        move = pool(groups, move.T.contiguous()) / count
+        given = 3 + 3 * self.plan.vectors if learns else 3
+        local = linear(hidden, self.last.weight[:given], self.last.bias[:given]).T.unflatten(0, (-1, 3)).contiguous()
+        if size is not None:
+            local = torch.cat([local[:1] * size, local[1:]])
+        mean = pool(groups, in_frames(local, axes.transpose(0, 1)).T.contiguous()) / count
+        move, learned = mean[:, :3], mean[:, 3:] if given > 3 else None
         # The last layer is linear: the mean of its features is its value at the mean.
-        learned = linear(pool(groups, hidden) / count, self.last.weight[3:], self.last.bias[3:]) if features else None
+        rows = slice(3 + 3 * self.plan.vectors, None)
+        features = linear(pool(groups, hidden) / count, self.last.weight[rows], self.last.bias[rows]) if learns else None
         if self.bound is None:
-            return move, learned, None
+            return move, features, learned, None
         if heights is None:
-            heights = heights_of(groups, edges, axes)
+            heights = heights_of(groups, edges.detach(), axes.detach())
         else:
             heights = torch.segment_reduce(heights[groups.corners[:, 0]], "max", offsets=groups.offsets)
-        return bounded(move, groups, edges, heights, self.bound), learned, heights
+        return bounded(move, groups, edges.detach(), heights, self.bound), features, learned, heights
 
 
 class NeuralSubdivision(nn.Module):
-    """The paper's network: modules I, V and E, shared over all half-flaps and levels.
+    """The paper's network, by default: modules I, V and E, shared over all half-flaps and levels."""
 
-    Not in the paper: relative, lengths of each half-flap are in units of its own mean edge, so that the network knows
-    no scale; bound, for use and not for training, see `bounds.py` (None leaves the displacements as they are).
-    """
-
-    def __init__(self, width: int = 32, features: int = 29, bound: tuple[float, float] | None = None,
-                 relative: bool = False):
+    def __init__(self, plan: Architecture | None = None):
         super().__init__()
-        self.initial = HalfFlapMLP(3, width, features, vectors=True, relative=relative)
-        self.vertex = HalfFlapMLP(features, width, features, vectors=False, relative=relative)
-        self.edge = HalfFlapMLP(features, width, features, vectors=False, relative=relative)
-        for module in (self.initial, self.vertex, self.edge):
-            module.bound = bound
+        self.plan = plan = plan or Architecture()
+        self.initial = HalfFlapMLP(plan, 0, 2 if plan.vectors else 1)
+        self.vertex = HalfFlapMLP(plan, plan.features, plan.vectors)
+        self.edge = HalfFlapMLP(plan, plan.features, plan.vectors)
 
     def forward(
         self, positions: Float[Tensor, "nV 3"], levels: list[LevelFlaps]
     ) -> list[Float[Tensor, "nV_l 3"]]:
         """Vertex positions of levels 0 .. len(levels); at least one level."""
         first = levels[0].by_vertex
-        move, values, _ = self.initial(first, positions, differential_coordinates(first, positions))
+        vectors = differential_coordinates(first, positions, self.plan.relative)
+        if self.plan.vectors:
+            vectors = torch.cat([vectors, vertex_normals(first, positions)], dim=1)
+        move, values, _ = self.initial(first, positions, (None, vectors))
         positions = positions + move
         outputs = [positions]
         for k, level in enumerate(levels):
-            move, values, heights = self.vertex(level.by_vertex, positions, values)
+            move, learned, heights = self.vertex(level.by_vertex, positions, values)
+            values = self._added(values, learned)
             positions = positions + move
             is_last = k + 1 == len(levels)
-            move, added, _ = self.edge(level.by_edge, positions, values, heights, features=not is_last)
-            midpoints = (positions[level.edges[:, 0]] + positions[level.edges[:, 1]]) / 2
-            positions = torch.cat([positions, midpoints + move])
+            move, learned, _ = self.edge(level.by_edge, positions, values, heights, learns=not is_last)
+            positions = torch.cat([positions, means(level, positions) + move])
             outputs.append(positions)
-            values = values if added is None else torch.cat([values, added])
+            if not is_last:
+                new = self._added(tuple(None if v is None else means(level, v) for v in values), learned)
+                values = tuple(None if v is None else torch.cat([v, n]) for v, n in zip(values, new))
         return outputs
+
+    def _added(self, values: Values, learned: Values) -> Values:
+        """What a module learned, added to what there was where the network is residual."""
+        if not self.plan.residual:
+            return learned
+        return tuple(None if n is None else v + n for v, n in zip(values, learned))  # type: ignore[return-value]
+
+
+def means(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Tensor, "nE c"]:
+    """Of the two ends of each edge."""
+    return (values.index_select(0, level.edges[:, 0]) + values.index_select(0, level.edges[:, 1])) / 2

@@ -19,6 +19,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from neusub import __version__
+from neusub.configuration import Architecture
 from neusub.errors import ModelError
 from neusub.files import replacing
 from neusub.flaps import level_flaps
@@ -72,9 +73,7 @@ class Subdivider:
         card = {key: value for key, value in header.items() if key not in ("format", "version")}
         architecture = card.get("architecture", {})
         try:
-            bound = checked_bound(architecture.get("bound"))
-            network = NeuralSubdivision(architecture["width"], architecture["features"], bound,
-                                        architecture.get("relative", False))
+            network = NeuralSubdivision(checked_architecture(architecture))
             network.load_state_dict(weights)
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
             raise ModelError(f"{path}: the weights do not fit the architecture {architecture} ({error}).") from None
@@ -145,12 +144,14 @@ def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, " nV"], 
     return np.where(mean > 0, mean, 1.0)
 
 
-def checked_bound(bound: Any) -> tuple[float, float] | None:
-    """The card's bounds of displacements (`bounds.py`).  Raises ValueError where they are no pair."""
-    if bound is None:
-        return None
-    edge, height = bound
-    return float(edge), float(height)
+def checked_architecture(entries: dict[str, Any]) -> Architecture:
+    """A card's architecture.  Raises KeyError, TypeError or ValueError where it is none."""
+    entries = {key: value for key, value in entries.items() if key != "kind"}
+    bound = entries.get("bound")
+    if bound is not None:
+        edge, height = bound
+        entries["bound"] = float(edge), float(height)
+    return Architecture(**entries)
 
 
 def resolve_device(device: str) -> str:

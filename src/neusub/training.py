@@ -11,7 +11,7 @@ import csv
 import json
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,14 @@ from neusub import __version__
 from neusub.configuration import PRESETS, TrainingConfig
 from neusub.errors import TrainingError
 from neusub.files import replacing
-from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, shortened
+from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, scaled, shortened
 from neusub.network import NeuralSubdivision
 from neusub.subdivider import Subdivider, resolve_device
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 
 BOUND = (0.2, 0.3)  # of the shortest edge and of the height, for the displacements of a trained model (`bounds.py`)
+EDGE = 0.1  # mean coarse edge that pairs are brought to for a network that knows no scale: about the paper's
 KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed
 
 
@@ -80,7 +81,7 @@ class _Run:
         pairs = read_pairs(train_files, config)
         fabric = Fabric(accelerator=resolve_device(config.device), devices=1, precision=config.precision)  # type: ignore[arg-type]
         torch.manual_seed(config.seed)
-        network = NeuralSubdivision(config.width, config.features, relative=config.relative)
+        network = NeuralSubdivision(config.network)
         adam = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
         model, optimizer = fabric.setup(network, adam)
         return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State())
@@ -103,12 +104,12 @@ class _Run:
 
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
-        network = NeuralSubdivision(self.config.width, self.config.features, BOUND, self.config.relative)
+        plan = self.config.network if self.config.network.bound else replace(self.config.network, bound=BOUND)
+        network = NeuralSubdivision(plan)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
         card = {
-            "architecture": {"kind": "half-flap", "width": self.config.width, "features": self.config.features,
-                             "bound": BOUND, "relative": self.config.relative},
+            "architecture": {"kind": "half-flap", **asdict(plan)},
             "input": self.config.input,
             "scale": {"box": 1.0, "edge": mean_coarse_edge(self.pairs)},
             "training": {
@@ -167,7 +168,9 @@ def train(
 
 
 def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair]:
-    return [shortened(pair, config.levels) for file in files for pair in load_pairs(file)]
+    """The pairs, with as many levels as are trained; for a network that knows no scale, each at the same scale."""
+    pairs = [shortened(pair, config.levels) for file in files for pair in load_pairs(file)]
+    return [scaled(pair, EDGE / mean_coarse_edge([pair])) for pair in pairs] if config.network.relative else pairs
 
 
 def copied(weights: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -262,8 +265,9 @@ def load_checkpoint(path: Path, run: _Run) -> None:
     free = {"device", "threads", "checkpoint_every"}  # do not change what is learned
     if run.config.schedule == "constant":
         free.add("epochs")
+    here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
     for field in fields(TrainingConfig):
-        was, now = header["config"].get(field.name, field.default), getattr(run.config, field.name)
+        was, now = header["config"].get(field.name, default[field.name]), here[field.name]
         if was != now and field.name not in free:
             raise TrainingError(f"{path}: the run has {field.name} = {was!r}, not {now!r}. Resume it with its own "
                                 "options, or choose another folder.")
