@@ -1,5 +1,7 @@
 """Truths of the half-flap network, then the reference implementation's numbers."""
 
+from dataclasses import asdict
+
 import numpy as np
 import pytest
 import torch
@@ -8,7 +10,7 @@ import neusub.flaps
 import shapes
 from neusub.flaps import level_flaps
 from neusub.generation import Batch, Pair, batch_pairs
-from neusub.configuration import Architecture
+from neusub.configuration import PRESETS, Architecture
 from neusub.frames import differential_coordinates
 from neusub.network import NeuralSubdivision
 from neusub.topology import topology_levels
@@ -185,19 +187,46 @@ def test_with_a_bound_a_flat_patch_stays_flat():
         assert np.abs((out.numpy() @ turn)[:, 2]).max() < 1e-12
 
 
-def test_a_relative_network_knows_no_scale():
+DEFAULT = asdict(PRESETS["default"].network)
+
+
+@pytest.mark.parametrize("options", [{"relative": True}, DEFAULT], ids=["relative", "default"])
+def test_a_relative_network_knows_no_scale(options):
     vertices, faces = shapes.torus(9, 7)
-    network = random_network(relative=True)
+    network = random_network(**options)
     for out, scaled in zip(run(network, vertices, faces), run(network, vertices * 1000, faces)):
         np.testing.assert_allclose(scaled.numpy() / 1000, out.numpy(), atol=1e-12)
 
 
-def test_parts_of_a_relative_network_behave_as_each_alone():
+@pytest.mark.parametrize("options", [{"relative": True}, DEFAULT], ids=["relative", "default"])
+def test_parts_of_a_relative_network_behave_as_each_alone(options):
     (a, f), (b, g) = shapes.torus(9, 7), shapes.icosahedron()
-    network = random_network(relative=True)
+    network = random_network(**options)
     both = run(network, np.concatenate([a, 1e-3 * b + 5]), np.concatenate([f, g + len(a)]), 1)[0].numpy()
     np.testing.assert_allclose(both[: len(a)], run(network, a, f, 1)[0].numpy(), atol=1e-12)
     np.testing.assert_allclose(both[len(a) :], run(network, 1e-3 * b + 5, g, 1)[0].numpy(), atol=1e-12)
+
+
+@pytest.mark.parametrize("shape", ["torus", "grid"])
+def test_learned_vectors_turn_with_the_mesh(shape):
+    vertices, faces = getattr(shapes, shape)(7, 6)
+    vertices = vertices + 0.1 * np.random.default_rng(0).standard_normal(vertices.shape)
+    turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
+    turn[:, 0] *= np.linalg.det(turn)
+    network = random_network(**DEFAULT)
+    for out, turned in zip(run(network, vertices, faces), run(network, vertices @ turn.T + 3, faces)):
+        np.testing.assert_allclose(turned.numpy(), out.numpy() @ turn.T + 3, atol=1e-12)
+
+
+def test_displacements_and_gradients_are_finite_where_faces_have_no_area():
+    vertices, faces = shapes.torus(7, 6)
+    vertices[:3] = vertices[0]
+    network = random_network(**DEFAULT)
+    start = torch.tensor(vertices, requires_grad=True)
+    out = network(start, flaps_of(faces, len(vertices)))[-1]
+    out.square().sum().backward()
+    assert out.isfinite().all()
+    assert all(weight.grad is not None and weight.grad.isfinite().all() for weight in network.initial.parameters())
 
 
 def make_pair(vertices, faces, seed):

@@ -15,7 +15,7 @@ from neusub.mesh import Mesh
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
-from neusub.training import train
+from neusub.training import PRESETS, train
 from test_network import make_pair
 
 CONFIG = TrainingConfig(epochs=4, checkpoint_every=1, device="cpu")
@@ -41,7 +41,7 @@ def files(tmp_path):
 @pytest.mark.parametrize("options", [
     {"batch": 1, "schedule": "constant"},
     {"batch": 3, "schedule": "cosine"},
-    {"batch": 3, "relative": True, "loss": "distance"},
+    {"batch": 3, "network": PRESETS["default"].network, "loss": "surface"},
 ])
 def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(files, tmp_path, options):
     config = replace(CONFIG, **options)
@@ -111,10 +111,10 @@ def test_a_loss_that_is_not_finite_is_a_named_error(files, tmp_path):
         train(*files, tmp_path / "run", replace(CONFIG, learning_rate=1e30))
 
 
-def test_a_relative_network_is_saved_as_one_and_knows_no_scale(files, tmp_path):
-    train(*files, tmp_path / "run", replace(CONFIG, epochs=1, relative=True, loss="distance"))
+def test_the_default_network_is_saved_as_one_and_knows_no_scale(files, tmp_path):
+    train(*files, tmp_path / "run", replace(CONFIG, epochs=1, network=PRESETS["default"].network))
     model = Subdivider.load(tmp_path / "run" / "model.safetensors", dtype=torch.float64)
-    assert model.card["architecture"]["relative"] is True
+    assert model.network.plan == PRESETS["default"].network
     vertices, faces = shapes.torus(8, 6)
     one, large = (model.subdivide(Mesh(s * vertices, faces), 1, scale="none")[-1].vertices for s in (1.0, 1000.0))
     np.testing.assert_allclose(large / 1000, one, atol=1e-12)
@@ -129,3 +129,15 @@ def test_the_loss_of_distances_is_not_carried_by_a_few_bad_targets(files):
     outputs = [good.targets[: len(weight)] + 0.01 for weight in good.weights]
     grown = {kind: float(spoiled.loss(outputs, kind) / good.loss(outputs, kind)) for kind in ("squared", "distance")}
     assert grown["distance"] < 0.05 * grown["squared"]
+
+
+def test_the_loss_of_the_surface_forgives_errors_along_it(files):
+    batch = batch_pairs(load_pairs(files[0][0])[:1])
+    along = torch.linalg.cross(batch.normals, torch.tensor([0.3, 0.5, 0.8]).expand_as(batch.normals))
+    along /= torch.linalg.norm(along, dim=1, keepdim=True)
+    losses = {}
+    for name, direction in (("across", batch.normals), ("along", along)):
+        outputs = [batch.targets[: len(weight)] + 0.01 * direction[: len(weight)] for weight in batch.weights]
+        losses[name] = {kind: float(batch.loss(outputs, kind)) for kind in ("distance", "surface")}
+    assert losses["across"]["surface"] == pytest.approx(losses["across"]["distance"], rel=1e-3)
+    assert losses["along"]["surface"] == pytest.approx(losses["along"]["distance"] / 2, rel=1e-2)
