@@ -1,6 +1,6 @@
 """Quality of the self-parameterization: level-2 remeshes at 500 faces, and the coarse triangles of the default pairs.
 
-    python experiments/selfparam_quality.py ../shared/data
+    python -m experiments selfparam_quality ../shared/data
 
 Beside each number stands the authors' later C++ (libigl; quadric, one run).  Writes results/selfparam_quality.json.
 """
@@ -98,7 +98,7 @@ def main() -> None:
         print(name, numbers, flush=True)
     commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True, cwd=HERE)
     scores = {
-        "command": "python experiments/selfparam_quality.py DATA",
+        "command": "python -m experiments selfparam_quality DATA",
         "commit": commit.stdout.strip(),
         "machine": platform.machine(),
         "settings": {"faces": FACES, "levels": LEVELS, "seed": 0, "draws": DRAWS, "points": POINTS},

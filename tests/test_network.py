@@ -8,10 +8,10 @@ import torch
 
 import neusub.flaps
 import shapes
-from neusub.flaps import level_flaps
-from neusub.generation import Batch, Pair, batch_pairs
 from neusub.configuration import PRESETS, Architecture
+from neusub.flaps import level_flaps
 from neusub.frames import differential_coordinates
+from neusub.generation import Batch, Pair, batch_pairs
 from neusub.network import NeuralSubdivision
 from neusub.topology import topology_levels
 

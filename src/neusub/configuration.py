@@ -50,7 +50,7 @@ class TrainingConfig:
 PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
-    "default": TrainingConfig(batch=2, schedule="cosine", epochs=150, learning_rate=1e-3, loss="surface",
+    "default": TrainingConfig(batch=2, schedule="cosine", epochs=110, learning_rate=1e-3, loss="surface",
                               network=Architecture(40, 32, vectors=4, relative=True, residual=True, activation="silu",
                                                    bound=(0.5, 0.6))),
 }

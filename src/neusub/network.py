@@ -89,9 +89,9 @@ class HalfFlapMLP(nn.Module):
             local = torch.cat([local[:1] * size, local[1:]])
         mean = pool(groups, in_frames(local, axes.transpose(0, 1)).T.contiguous()) / count
         move, learned = mean[:, :3], mean[:, 3:] if given > 3 else None
-        # The last layer is linear: the mean of its features is its value at the mean.
-        rows = slice(3 + 3 * self.plan.vectors, None)
-        features = linear(pool(groups, hidden) / count, self.last.weight[rows], self.last.bias[rows]) if learns else None
+        features = None
+        if learns:  # the last layer is linear: the mean of its features is its value at the mean
+            features = linear(pool(groups, hidden) / count, self.last.weight[given:], self.last.bias[given:])
         if self.bound is None:
             return move, features, learned, None
         if heights is None:

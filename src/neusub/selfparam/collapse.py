@@ -227,7 +227,7 @@ def try_collapse(work, user, h):
             return reason
     conformal = work.options[2] > 0
     reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal)
-    if tiny and conformal and (reason == PLANE_BEFORE or reason == PLANE_AFTER):
+    if tiny and conformal and reason in (PLANE_BEFORE, PLANE_AFTER):
         reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, False)
     if reason != LEGAL:
         return reason

@@ -38,9 +38,9 @@ class Criteria:
     vanish (not in the paper).
     min_quality: Q = 4 sqrt(3) A / (sum of the squared edges) of each face after must exceed this, or the worst of the
     ring before, whichever is less; in space and in the plane.
-    tiny: a ring that reaches no further than this times the mean edge of the mesh as it is then is exempt from the tests
-    of normals and quality, and comes to lie in a circle where the conformal map would turn faces over (not in the
-    paper).  Its faces are on their way to vanish: eyeballs behind lids that nearly close, for one, would stay whole.
+    tiny: a ring that reaches no further than this times the mean edge of the mesh as it is then is exempt from the
+    tests of normals and quality, and comes to lie in a circle where the conformal map would turn faces over (not in
+    the paper).  Its faces are about to vanish: eyeballs behind lids that nearly close, for one, would stay whole.
     """
 
     min_normal_dot: float | None = 0.2

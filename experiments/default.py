@@ -1,0 +1,72 @@
+"""The default weights: sixteen shapes of free licence beside closed-form surfaces, for both kinds of input.
+
+    python -m experiments default MESHES --input on_surface --ship
+    python -m experiments default MESHES --input decimated --ship
+
+MESHES is the folder that the files of recipes/default.json are relative to; the recipe names where each comes from and
+its licence.  Writes results/default-INPUT.json and, with --ship, the weights.  An interrupted run goes on.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+from experiments.analytic import analytic_pairs
+from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
+from neusub.configuration import PRESETS, PairConfig
+from neusub.discretization import make_pairs
+from neusub.generation import save_pairs
+from neusub.training import train
+
+NAMES = {"on_surface": "default", "decimated": "decimated"}
+DESCRIPTIONS = {
+    "on_surface": "any mesh whose vertices lie on the shape: artists' models, scans; organic and man-made",
+    "decimated": "meshes that an error-minimising decimation made, whose vertices lie off the surface",
+}
+LICENCE = "CC BY 3.0, CC BY 4.0 or CC0: see the recipe"
+
+
+def pair_files(recipe: dict, meshes: Path, folder: Path) -> tuple[list[Path], list[Path]]:
+    """Training and validation files of the recipe's sources."""
+    config = PairConfig(per_mesh=recipe["per_mesh"], validation=recipe["validation"],
+                        vertices=tuple(recipe["vertices"]), levels=recipe["levels"], seed=recipe["seed"])
+    report = make_pairs([meshes / source["file"] for source in recipe["sources"]], folder, config, strict=True,
+                        licence=LICENCE)
+    return list(report.train), list(report.validation)
+
+
+def closed_form_file(recipe: dict, folder: Path) -> Path:
+    """Pairs of surfaces of closed form; their coarse vertices lie on them, so they are for that kind of input only."""
+    wanted = recipe["closed_form"]
+    path = folder / "analytic-train.safetensors"
+    save_pairs(analytic_pairs(wanted["on_surface"], wanted["seed"], recipe["levels"]), path,
+               {"split": "train", "source": "experiments/analytic.py", "licence": "MIT", "seed": wanted["seed"]})
+    return path
+
+
+def main() -> None:
+    parser = parser_of("experiments default", __doc__)
+    parser.add_argument("meshes", type=Path)
+    parser.add_argument("--input", choices=tuple(NAMES), default="on_surface")
+    parser.add_argument("--epochs", type=int, default=PRESETS["default"].epochs)
+    parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
+    options = parser.parse_args()
+    recipe = json.loads((HERE / "recipes" / "default.json").read_text())
+    training, validation = pair_files(recipe, options.meshes, options.runs / "default-pairs")
+    if options.input == "on_surface":
+        training.append(closed_form_file(recipe, options.runs / "default-pairs"))
+    config = replace(PRESETS["default"], input=options.input, epochs=options.epochs, seed=options.seed,
+                     threads=options.threads)
+    folder = options.runs / f"default-{options.input}-{options.seed}"
+    result = train(training, validation, folder, config, resume=True, on_epoch=show)
+    origin = provenance(options)
+    write_results(f"default-{options.input}", {**origin, **training_scores(result)})
+    if options.ship:
+        result.model.card["sources"] = [*recipe["sources"], {"file": "experiments/analytic.py", "licence": "MIT"}]
+        ship(NAMES[options.input], origin["command"], DESCRIPTIONS[options.input], result)
+
+
+if __name__ == "__main__":
+    main()
