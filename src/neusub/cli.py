@@ -23,6 +23,7 @@ def subdivide_command(
     model: str | None = None,
     levels: int = 2,
     limit_levels: int = 0,
+    input: Literal["on_surface", "decimated"] | None = None,
     scale: Literal["edge", "box", "none"] = "edge",
     crease_angle: float | None = None,
     all_levels: bool = False,
@@ -38,6 +39,7 @@ def subdivide_command(
         model: A model's name (see 'neusub models') or its file.
         levels: How often each triangle is split into four.
         limit_levels: Levels of classic Loop after the network's.
+        input: Where the coarse vertices lie, if not on the surface: 'decimated' for meshes that a decimation made.
         scale: What is brought to the training's scale: each part's mean edge, the whole box, or nothing.
         crease_angle: Loop and butterfly keep edges sharper than this (degrees).
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
@@ -57,7 +59,7 @@ def subdivide_command(
         from neusub.subdivider import DEFAULT_MODEL, subdivide
 
         results = subdivide(mesh, scheme, levels, model=model or DEFAULT_MODEL, limit_levels=limit_levels,
-                            scale=scale, device=device, crease_angle=crease_angle)
+                            scale=scale, input=input, device=device, crease_angle=crease_angle)
         for level, place in zip(results[-len(targets) :], targets):
             save(level, place, overwrite=overwrite)
         return [*notes, f"{path}: {len(mesh.faces):,} -> {len(results[-1].faces):,} faces: {targets[-1]}"]

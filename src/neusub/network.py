@@ -14,6 +14,9 @@ Vectors of half-flaps are stored (3, n), one row a coordinate.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import NamedTuple
+
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
@@ -26,7 +29,15 @@ from neusub.frames import differential_coordinates, edge_vectors, in_frames, loc
 
 __all__ = ["HalfFlapMLP", "NeuralSubdivision"]
 
-Values = tuple["Float[Tensor, 'nV c'] | None", "Float[Tensor, 'nV 3*k'] | None"]  # features and vectors of vertices
+class Values(NamedTuple):
+    """What modules hand on of vertices or edges."""
+
+    features: Float[Tensor, "nV c"] | None
+    vectors: Float[Tensor, "nV 3*k"] | None
+
+    def merged(self, other: Values, join: Callable[[Tensor, Tensor], Tensor]) -> Values:
+        """Both, part by part; a part that neither has is None."""
+        return Values(*(None if a is None or b is None else join(a, b) for a, b in zip(self, other)))
 
 
 class HalfFlapMLP(nn.Module):
@@ -66,7 +77,7 @@ class HalfFlapMLP(nn.Module):
         results = [self._part(part, positions, table, vectors, heights, turned, learns) for part in parts]
         moves, features, vectors, heights = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
                                              for rows in zip(*results))
-        return moves, (features, vectors), heights
+        return moves, Values(features, vectors), heights  # type: ignore[return-value]
 
     def _part(self, groups, positions, table, vectors, heights, turned, learns):
         edges = edge_vectors(groups, positions)
@@ -119,7 +130,7 @@ class NeuralSubdivision(nn.Module):
         vectors = differential_coordinates(first, positions, self.plan.relative)
         if self.plan.vectors:
             vectors = torch.cat([vectors, vertex_normals(first, positions)], dim=1)
-        move, values, _ = self.initial(first, positions, (None, vectors))
+        move, values, _ = self.initial(first, positions, Values(None, vectors))
         positions = positions + move
         outputs = [positions]
         for k, level in enumerate(levels):
@@ -131,15 +142,13 @@ class NeuralSubdivision(nn.Module):
             positions = torch.cat([positions, means(level, positions) + move])
             outputs.append(positions)
             if not is_last:
-                new = self._added(tuple(None if v is None else means(level, v) for v in values), learned)
-                values = tuple(None if v is None else torch.cat([v, n]) for v, n in zip(values, new))
+                between = Values(*(None if v is None else means(level, v) for v in values))
+                values = values.merged(self._added(between, learned), lambda v, new: torch.cat([v, new]))
         return outputs
 
     def _added(self, values: Values, learned: Values) -> Values:
         """What a module learned, added to what there was where the network is residual."""
-        if not self.plan.residual:
-            return learned
-        return tuple(None if n is None else v + n for v, n in zip(values, learned))  # type: ignore[return-value]
+        return values.merged(learned, torch.add) if self.plan.residual else learned
 
 
 def means(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Tensor, "nE c"]:

@@ -34,6 +34,7 @@ FORMAT = "neusub-model-1"
 DEFAULT_MODEL = "smooth"
 Scheme = Literal["neural", "loop", "butterfly", "midpoint"]
 Scale = Literal["edge", "box", "none"]
+Input = Literal["on_surface", "decimated"]
 
 
 def model_names() -> list[str]:
@@ -86,15 +87,30 @@ class Subdivider:
         with replacing(path) as new:
             save_file(weights, new, metadata={"neusub": json.dumps(header, sort_keys=True)})
 
-    def subdivide(self, mesh: Mesh, levels: int = 2, limit_levels: int = 0, *, scale: Scale = "edge") -> list[Mesh]:
+    def companion(self, input: Input) -> Subdivider:
+        """The model for a kind of input: this one, or the one that its card names.  Raises ModelError."""
+        if input == self.card["input"]:
+            return self
+        name = self.card.get("companions", {}).get(input)
+        if name is None:
+            raise ModelError(f"the model is for {self.card['input']} input, and its card names no weights for {input}. "
+                             "Leave the kind of input out, or take another model.")
+        weight = next(self.network.parameters())
+        return Subdivider.load(name, device=str(weight.device), dtype=weight.dtype)
+
+    def subdivide(self, mesh: Mesh, levels: int = 2, limit_levels: int = 0, *, scale: Scale = "edge",
+                  input: Input | None = None) -> list[Mesh]:
         """Levels 0 .. levels of the network, then `limit_levels` of classic Loop, in the mesh's own scale and place.
 
         Level 0 has the input's faces and vertices that the network moved.  scale: what is brought to the card's
         before the network and taken back after it, by one factor for all levels: "edge", each component's mean edge;
         "box", the longest side of the whole mesh's box; "none", nothing.
+        input: where the coarse vertices lie, if not as the model's card says: "on_surface", "decimated" (`companion`).
         UVs go linearly along each corner's edges, colours to the mean of an edge's ends.
-        Raises ValueError for levels below 1 or an unknown scale.
+        Raises ValueError for levels below 1 or an unknown scale, ModelError for a kind of input without weights.
         """
+        if input is not None and input != self.card["input"]:
+            return self.companion(input).subdivide(mesh, levels, limit_levels, scale=scale)
         if levels < 1 or limit_levels < 0:
             raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: at least one level, and none below 0.")
         topologies, faces = topology_levels(mesh.faces, len(mesh.vertices), levels)
@@ -174,14 +190,15 @@ def subdivide(
     model: str | Path | Subdivider = DEFAULT_MODEL,
     limit_levels: int = 0,
     scale: Scale = "edge",
+    input: Input | None = None,
     device: str = "auto",
     creases: Any = None,
     crease_angle: float | None = None,
 ) -> list[Mesh]:
     """Refine a mesh by a network or a classical scheme; the list of its levels, 0 first.
 
-    limit_levels: levels of Loop after that.  model, scale, device: of the neural scheme (`Subdivider`).  creases (edges
-    as vertex pairs) or crease_angle (degrees): edges that Loop and butterfly keep sharp.
+    limit_levels: levels of Loop after that.  model, scale, input, device: of the neural scheme (`Subdivider`).  creases
+    (edges as vertex pairs) or crease_angle (degrees): edges that Loop and butterfly keep sharp.
     Raises ValueError for an unknown scheme, negative levels, or creases with another scheme.
     """
     if levels < 0 or limit_levels < 0:
@@ -190,6 +207,6 @@ def subdivide(
         raise ValueError(f"the scheme {scheme!r} keeps no creases. Use 'loop' or 'butterfly', or leave them out.")
     if scheme == "neural":
         model = model if isinstance(model, Subdivider) else Subdivider.load(model, device=device)
-        return model.subdivide(mesh, levels, limit_levels, scale=scale)
+        return model.subdivide(mesh, levels, limit_levels, scale=scale, input=input)
     return subdivide_classic(mesh, scheme, levels, creases=creases, crease_angle=crease_angle,
                              limit_levels=limit_levels)
