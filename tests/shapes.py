@@ -13,6 +13,10 @@ from neusub.topology import build_topology, refine_faces
 Shape = tuple[ndarray, ndarray]
 
 
+POCKET = 0.05  # radius of the bubble of `pocket`
+POCKET_HEIGHT = 1 - 1.05 * POCKET
+
+
 def _shape(vertices: object, faces: object) -> Shape:
     return np.array(vertices, dtype=np.float64), np.array(faces, dtype=np.int64)
 
@@ -107,6 +111,29 @@ def cone(n: int = 8) -> Shape:
     u = 2 * np.pi * np.arange(n) / n
     vertices = np.concatenate([np.stack([np.cos(u), np.sin(u), 0 * u], axis=1), [[0, 0, 1]]])
     return vertices, np.stack([np.arange(n), (np.arange(n) + 1) % n, np.full(n, n)], axis=1)
+
+
+def pocket(n: int = 24) -> Shape:
+    """A sphere with a small bubble inside it, open to the outside through a narrow neck, like an eye behind its lids.
+
+    A profile turned around the z axis, with a little noise; the bubble's centre is (0, 0, POCKET_HEIGHT).
+    """
+    down = np.linspace(0, 1, n)[1:]
+    outer = np.stack([np.sin(np.pi * 0.998 * down), -np.cos(np.pi * 0.998 * down)], axis=1)
+    angle = np.pi * np.linspace(np.arcsin(outer[-1, 0] / POCKET) / np.pi, 1, 20)[1:-1]
+    inner = np.stack([POCKET * np.sin(angle), POCKET_HEIGHT + POCKET * np.cos(angle)], axis=1)
+    radius, height = np.concatenate([outer, inner]).T[:, :, None]
+    turn = 2 * np.pi * np.arange(n) / n
+    rings = np.stack(np.broadcast_arrays(radius * np.cos(turn), radius * np.sin(turn), height), axis=-1).reshape(-1, 3)
+    faces = _wrapped_grid(len(radius), n, False, True)[:, ::-1]
+    first, around = len(rings), np.arange(n)
+    last = first - n + around
+    bottom = np.stack([np.full(n, first), (around + 1) % n, around], axis=1)
+    top = np.stack([np.full(n, first + 1), last, first - n + (around + 1) % n], axis=1)
+    poles = [[0, 0, -1], [0, 0, POCKET_HEIGHT - POCKET]]
+    vertices = np.concatenate([rings, poles])
+    noise = 1e-3 * POCKET * np.random.default_rng(0).standard_normal(vertices.shape)
+    return _shape(vertices + noise, np.concatenate([faces, bottom, top]))
 
 
 def two_components() -> Shape:

@@ -113,3 +113,15 @@ def test_golden_meshes_come_out_through_the_public_door(golden, name):
         expected = data[f"out_V_level{level}_f64"]
         # The golden inputs were rounded to float32 after they were scaled.
         assert np.abs((mesh.vertices - low) * factor + shift - expected).max() <= (1e-6 if scale == "box" else 1e-12)
+
+
+def test_a_card_names_the_weights_for_the_other_kind_of_input(model):
+    mesh = sphere()
+    kind = model.card["input"]
+    assert model.companion(kind) is model
+    alone = Subdivider(model.network, {**CARD, "architecture": model.card["architecture"], "input": kind})
+    with pytest.raises(ModelError, match="names no weights for decimated"):
+        alone.subdivide(mesh, input="decimated")
+    both = Subdivider(model.network, {**CARD, "companions": {"decimated": "elephant"}})
+    expected = Subdivider.load("elephant", device="cpu", dtype=torch.float64).subdivide(mesh)[-1].vertices
+    assert np.array_equal(both.subdivide(mesh, input="decimated")[-1].vertices, expected)

@@ -53,6 +53,8 @@ class Criteria:
             value = getattr(self, name)
             if value is not None and not -1 <= value < 1:
                 raise DecimationError(f"{name} = {value}: take a number in [-1, 1), or None for no test.")
+        if self.tiny is not None and not 0 <= self.tiny <= 1:
+            raise DecimationError(f"tiny = {self.tiny}: take a number in [0, 1], or None.")
 
     def packed(self) -> np.ndarray:
         """For the kernels: a test that is off is one that always passes."""
