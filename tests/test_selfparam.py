@@ -416,3 +416,18 @@ def test_a_criterion_out_of_range_is_refused(name):
 def test_boundary_shapes_have_boundaries():
     assert all(facts(mesh_of(name))[2] > 0 for name in OPEN)
     assert all(facts(mesh_of(name))[2] == 0 for name in CLOSED)
+
+
+def test_the_order_in_memory_changes_nothing_but_time(monkeypatch):
+    mesh = mesh_of("genus 2")
+    expected = decimate(mesh, n_vertices=60)
+    monkeypatch.setattr(door, "LARGE", 0)
+    result = decimate(mesh, n_vertices=60)
+    assert facts(result.coarse) == facts(expected.coarse)
+    assert farthest(expected.decimated, result.decimated) < 1e-12  # the costs of a noisy mesh have no ties
+
+    def centres_below(parameterization: SelfParameterization) -> np.ndarray:
+        faces, barycentric = parameterization.to_coarse(np.arange(len(mesh.faces)), np.full((len(mesh.faces), 3), 1 / 3))
+        return (barycentric[:, :, None] * parameterization.decimated[parameterization.faces[faces]]).sum(axis=1)
+
+    np.testing.assert_allclose(centres_below(result), centres_below(expected), atol=1e-9)

@@ -16,6 +16,7 @@ from neusub.selfparam.appearance import attribute_quadrics, seam_holds
 from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_edges, offer_all, run
 from neusub.selfparam.criteria import REASONS, Criteria
 from neusub.selfparam.flatten import make_solver
+from neusub.selfparam.locality import LARGE, Order, file_order, local_order, reordered
 from neusub.selfparam.mapping import CAPACITY, grown, make_charts, trimmed
 from neusub.selfparam.parameterization import SelfParameterization
 from neusub.selfparam.placement import (
@@ -62,11 +63,12 @@ def decimate(
     """
     targets = checked_targets(mesh, n_vertices, n_faces)
     plan, user = checked_strategy(strategy)
-    work, centre, scale = prepare(mesh, plan, targets, seed, criteria or Criteria(), flattening, sharp_boundary_angle)
+    work, order, frame = prepare(mesh, plan, targets, seed, criteria or Criteria(), flattening, sharp_boundary_angle)
     announce_compilation()
     work, status = collapse_all(work, user, targets, on_progress)
+    centre, scale = frame
     work.surface.positions[:] = work.surface.positions * scale + centre
-    return finish(mesh, work, status == DONE, strategy if isinstance(strategy, str) else "user", seed)
+    return finish(mesh, work, order, status == DONE, strategy if isinstance(strategy, str) else "user", seed)
 
 
 # --- checks ------------------------------------------------------------------------------------------------------
@@ -99,8 +101,8 @@ def checked_strategy(strategy: str | Any) -> tuple[Strategy, Any]:
 
 
 def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, criteria: Criteria, flattening: str,
-            sharp_boundary_angle: float | None) -> tuple[Work, ndarray, float]:
-    """The kernel's arrays, and what brings its positions back: centre and scale.
+            sharp_boundary_angle: float | None) -> tuple[Work, Order, tuple[ndarray, float]]:
+    """The kernel's arrays, the order of their vertices and faces, and what brings positions back: centre and scale.
 
     The longest side of the box becomes 1/2 to 1, by a power of two: then nothing in the kernel is absolute, and a
     mesh that is twice as large gives the same result to the last bit.
@@ -126,6 +128,11 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
     if plan.keeps_appearance:
         more, gradients = attribute_quadrics(mesh, positions)
         quadrics += more
+    order = file_order(len(positions), n_faces)
+    if n_faces > LARGE:
+        order = local_order(positions, surface.faces)
+        surface = reordered(surface, order)
+        quadrics, gradients = quadrics[order.vertices], gradients[order.vertices]
     capacity = min(2 * int(topology.valence.max()) + 64, CAPACITY)
     collapses = expected_collapses(mesh, targets)
     work = Work(
@@ -145,7 +152,7 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         random=np.random.SeedSequence(seed).generate_state(1, np.uint64),
         options=np.array([plan.code, plan.choices, flattening == "conformal"], dtype=np.int64),
     )
-    return work, centre, scale
+    return work, order, (centre, scale)
 
 
 def expected_collapses(mesh: Mesh, targets: tuple[int, int]) -> int:
@@ -179,15 +186,18 @@ def with_room(work: Work, n_faces: int) -> Work:
     return work._replace(charts=grown(work.charts, n_faces, len(work.charts.starts) - 1, slots + slots // 2 + 1024))
 
 
-def finish(mesh: Mesh, work: Work, reached: bool, strategy: str, seed: int) -> SelfParameterization:
-    """Number the vertices and faces that are left, in their old order, and cut the charts to size."""
+def finish(mesh: Mesh, work: Work, order: Order, reached: bool, strategy: str, seed: int) -> SelfParameterization:
+    """Number the vertices and faces that are left, in the mesh's order, and cut the charts to size."""
     surface = work.surface
     alive = np.flatnonzero(surface.faces[:, 0] >= 0)
-    kept, faces = np.unique(surface.faces[alive], return_inverse=True)
+    alive = alive[np.argsort(order.faces[alive])]
+    kept, faces = np.unique(order.vertices[surface.faces[alive]], return_inverse=True)
+    place = np.empty(len(mesh.vertices), np.int32)
+    place[order.vertices] = np.arange(len(place), dtype=np.int32)
     return SelfParameterization(
         fine=mesh,
         faces=faces.reshape(-1, 3).astype(np.int64),
-        decimated=surface.positions[kept],
+        decimated=surface.positions[place[kept]],
         versions=surface.versions[alive].astype(np.int32),
         charts=trimmed(work.charts),
         reached=reached,

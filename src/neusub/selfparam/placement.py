@@ -20,6 +20,7 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numba import cfunc, njit, types
 from numpy import ndarray
+from scipy.sparse import csc_array
 
 from neusub.selfparam.surface import COMPILED
 from neusub.topology import Topology
@@ -145,9 +146,12 @@ def vertex_quadrics(
     unit, size = unit_normals(corners)
     quadrics = np.zeros((len(positions), 10))
     scatter(quadrics, topology.faces, plane_quadrics(unit, corners[:, 0], size / 2))
-    area = np.bincount(topology.faces.reshape(-1), np.repeat(size / 6, 3), len(positions))
-    for axis in range(3):
-        quadrics += plane_quadrics(np.eye(3)[[axis]], positions, spread * area)
+    if spread:
+        weight = spread * np.bincount(topology.faces.reshape(-1), np.repeat(size / 6, 3), len(positions))
+        for term in (0, 3, 5):  # weight |p - position|^2
+            quadrics[:, term] += weight
+        quadrics[:, 6:9] -= weight[:, None] * positions
+        quadrics[:, 9] += weight * np.einsum("ij,ij->i", positions, positions)
     border = topology.edge_halfedges[topology.is_boundary_edge].max(axis=1)
     add_walls(quadrics, positions, topology.faces, unit, border)
     return quadrics
@@ -183,6 +187,6 @@ def affine_quadrics(gradient: ndarray, offset: ndarray, weight: ndarray) -> Floa
 
 def scatter(quadrics: ndarray, corners: Int64[ndarray, "n k"], values: ndarray) -> None:
     """Add each row's quadric to all of its vertices, in place."""
-    for column in corners.T:
-        for term in range(10):
-            quadrics[:, term] += np.bincount(column, values[:, term], len(quadrics))
+    n, k = corners.shape
+    rows = csc_array((np.ones(n * k), corners.reshape(-1), np.arange(0, n * k + 1, k)), shape=(len(quadrics), n))
+    quadrics += rows @ values

@@ -39,7 +39,7 @@ def set_place(queue, place, edge, cost):
 def sift_up(queue, place, edge, cost):
     """Write the edge at `place` or above, where its cost belongs."""
     while place > 0:
-        parent = (place - 1) // 2
+        parent = (place - 1) // 4
         if queue.costs[parent] <= cost:
             break
         set_place(queue, place, np.int64(queue.edges[parent]), queue.costs[parent])
@@ -52,11 +52,12 @@ def sift_down(queue, place, edge, cost):
     """Write the edge at `place` or below."""
     n = queue.size[0]
     while True:
-        child = 2 * place + 1
-        if child >= n:
+        child = first = 4 * place + 1
+        if first >= n:
             break
-        if child + 1 < n and queue.costs[child + 1] < queue.costs[child]:
-            child += 1
+        for other in range(first + 1, min(first + 4, n)):
+            if queue.costs[other] < queue.costs[child]:
+                child = other
         if queue.costs[child] >= cost:
             break
         set_place(queue, place, np.int64(queue.edges[child]), queue.costs[child])
@@ -69,7 +70,7 @@ def move(queue, place, edge, cost):
     """Write the edge where its cost belongs, seen from a place whose old entry is gone."""
     if not queue.is_heap[0]:
         set_place(queue, place, edge, cost)
-    elif place > 0 and cost < queue.costs[(place - 1) // 2]:
+    elif place > 0 and cost < queue.costs[(place - 1) // 4]:
         sift_up(queue, place, edge, cost)
     else:
         sift_down(queue, place, edge, cost)

@@ -1,0 +1,186 @@
+"""The pictures of `parameterization.py`, for docs/reproduction; of shapes with a free licence only (CC0, CC BY)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy import ndarray
+from PIL import Image, ImageDraw, ImageFont
+
+import neusub
+from experiments.common import HERE
+from experiments.parameterization import (
+    BLUB,
+    CRITERIA,
+    FACES,
+    KOALA,
+    LEVELS,
+    PENGUIN,
+    STRATEGIES,
+    TEXTURED,
+    down,
+    drawn,
+    remeshed,
+    uneven,
+)
+from neusub import Mesh, SelfParameterization, decimate
+from neusub.map_pictures import Surface, View, checkerboard, coloured_fine, edge_images, face_colors, surface_picture
+from neusub.metrics import face_normals
+from neusub.selfparam.parameterization import refinement
+
+FOLDER = HERE.parent / "docs" / "reproduction"
+SMALL = 400_000  # faces of a coloured surface
+CLAY, RED, TITLE = (223, 227, 234), (220, 50, 40), 26
+FRONT, OTHER = (0.9, 0.45, 1.2), (0.9, 0.45, -1.2)  # most shapes look along z, spot along -z
+LACES = np.array([[0.3, 0.4, 0.2], [0.75, 0.4, 0.2], [0.3, 1.0, 0.2], [0.3, 0.4, 0.8]])  # of the boot's box
+GALLERY = {  # where to look from
+    "organic/oded_fish.ply": (1.0, 0.3, 0.4),
+    "organic/oded_hand_closed.ply": FRONT,
+    "organic/oded_scorpion.ply": (0.9, 0.8, 1.2),
+    "organic/oded_penguin_hr.ply": FRONT,
+    "organic/oded_skull_low_resolution.ply": FRONT,
+    "manmade/oded_boot.ply": FRONT,
+    "manmade/oded_wingnut.ply": (0.9, 0.8, 1.2),
+    "boundary/oded_plane_holes.ply": (0.9, 0.8, 1.2),
+}
+
+
+def draw_all(folder: Path, times: dict) -> None:
+    FOLDER.mkdir(parents=True, exist_ok=True)
+    for draw in (draw_flattenings, draw_strategies, draw_maps, draw_criteria, draw_gallery, draw_draws, draw_targets):
+        print(draw(folder), flush=True)
+    print(draw_times(times))
+
+
+# --- panels ------------------------------------------------------------------------------------------------------
+
+
+def titled(picture: ndarray, title: str) -> ndarray:
+    image = Image.new("RGB", (picture.shape[1], picture.shape[0] + TITLE), "white")
+    image.paste(Image.fromarray(picture))
+    at = (picture.shape[1] / 2, picture.shape[0] + TITLE / 2)
+    ImageDraw.Draw(image).text(at, title, fill="black", font=ImageFont.load_default(15), anchor="mm")
+    return np.asarray(image)
+
+
+def write(name: str, rows: Sequence[Sequence[ndarray]]) -> Path:
+    """Panels of one size in rows, in few colours for a small file."""
+    path = FOLDER / f"{name}.png"
+    image = Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows]))
+    image.quantize(256, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
+    return path
+
+
+def wireframe(mesh: Mesh, view: View) -> ndarray:
+    return surface_picture(Surface(mesh.vertices, mesh.faces, np.full(mesh.faces.shape, CLAY, np.uint8)), view,
+                           wireframe=True)
+
+
+def checks(result: SelfParameterization, view: View) -> ndarray:
+    return surface_picture(checkerboard(result, LEVELS, SMALL), view)
+
+
+def patches(result: SelfParameterization, view: View) -> ndarray:
+    """The fine surface coloured by coarse face, with the images of the coarse edges."""
+    colors = face_colors(result.faces, len(result.decimated))
+    return surface_picture(coloured_fine(result, colors, SMALL), view, edge_images(result))
+
+
+# --- pictures ----------------------------------------------------------------------------------------------------
+
+
+def draw_flattenings(folder: Path) -> Path:
+    """fig:withWithoutConformal."""
+    rows: list[list[ndarray]] = [[], []]
+    for name, camera in ((BLUB, (1.0, 0.3, 0.6)), (KOALA, FRONT), (PENGUIN, FRONT)):
+        mesh = neusub.load(folder / name)
+        view = View(mesh, (420, 360), camera, (0, 1, 0))
+        for row, flattening in zip(rows, ("conformal", "uniform")):
+            picture = checks(decimate(mesh, n_faces=FACES, flattening=flattening), view)
+            row.append(titled(picture, f"{flattening} flattening"))
+    return write("flattening", rows)
+
+
+def draw_strategies(folder: Path) -> Path:
+    """fig:controlEC."""
+    mesh = neusub.load(folder / TEXTURED)
+    view = View(mesh, (270, 330), OTHER, (0, 1, 0))
+    results = {name: decimate(mesh, n_faces=FACES, strategy=name) for name in STRATEGIES}
+    return write("strategies", [[wireframe(r.coarse, view) for r in results.values()],
+                                [titled(patches(r, view), name) for name, r in results.items()]])
+
+
+def draw_maps(folder: Path) -> Path:
+    """fig:uniformRemesh: the first refinement."""
+    mesh = uneven(neusub.load(folder / TEXTURED), 2)
+    view = View(mesh, (330, 390), (1.3, 0.45, -0.6), (0, 1, 0))
+    titles = {"quadric": "ours, quadric", "uniform": "ours, uniform", "MAPS": "MAPS"}
+    panels = [titled(wireframe(remeshed(down(mesh, name), 1), view), title) for name, title in titles.items()]
+    return write("maps", [[titled(wireframe(mesh, view), f"input, {len(mesh.faces):,} faces"), *panels]])
+
+
+def draw_criteria(folder: Path) -> Path:
+    """fig:robustSSS: the second refinement with all criteria, and with none; red where it turned over."""
+    mesh = neusub.load(folder / "manmade/oded_boot.ply")
+    corners = LACES * np.ptp(mesh.vertices, axis=0) + mesh.vertices.min(axis=0)
+    frame = Mesh(corners, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3]]))
+    view, panels = View(frame, (480, 440), FRONT, (0, 1, 0)), []
+    for name, title in (("all", "all criteria"), ("none", "no criteria")):
+        result = decimate(mesh, n_faces=FACES, criteria=CRITERIA[name])
+        fine, refined = remeshed(result), refinement(result.faces, len(result.decimated), LEVELS)
+        under, _ = result.to_fine(refined.owner, refined.corners.mean(axis=1))
+        is_flipped = (face_normals(fine) * face_normals(mesh)[under]).sum(axis=1) < 0
+        colors = np.where(is_flipped[:, None], RED, CLAY).astype(np.uint8)
+        picture = surface_picture(Surface(fine.vertices, fine.faces, colors), view, wireframe=True)
+        panels.append(titled(picture, f"{title}, {100 * is_flipped.mean():.1f} % turned over"))
+    return write("criteria", [panels])
+
+
+def draw_gallery(folder: Path) -> Path:
+    """fig:robustSSS: shapes, coloured by coarse face."""
+    panels = []
+    for name, camera in GALLERY.items():
+        result = decimate(neusub.load(folder / name), n_faces=FACES)
+        view = View(result.fine, (330, 280), camera, (0, 1, 0))
+        panels.append(titled(patches(result, view), f"{len(result.fine.faces):,} to {len(result.faces)} faces"))
+    return write("shapes", [panels[:4], panels[4:]])
+
+
+def draw_draws(folder: Path) -> Path:
+    """fig:manyShapes."""
+    results = drawn(folder, 7)
+    view = View(results[0].fine, (300, 330), OTHER, (0, 1, 0))
+    panels = [titled(wireframe(mesh, view), f"{len(mesh.vertices):,} vertices")
+              for mesh in (results[0].fine, *(result.coarse for result in results))]
+    return write("many_shapes", [panels[:4], panels[4:]])
+
+
+def draw_targets(folder: Path) -> Path:
+    """fig:trainData: two draws, and the levels that are their targets."""
+    rows = []
+    for result in drawn(folder, 7)[-3:-1]:
+        view = View(result.fine, (300, 330), OTHER, (0, 1, 0))
+        rows.append([titled(wireframe(result.coarse, view), f"decimated, {len(result.decimated)} vertices")])
+        rows[-1] += [titled(wireframe(remeshed(result, level), view), f"target of level {level}")
+                     for level in range(LEVELS + 1)]
+    return write("training_data", rows)
+
+
+def draw_times(times: dict) -> Path:
+    """sec:SSS."""
+    from matplotlib.figure import Figure
+
+    n, seconds = (np.array([row[key] for row in times["sizes"]]) for key in ("vertices", "seconds"))
+    figure = Figure(figsize=(5.4, 3.6), dpi=120, layout="constrained")
+    axes = figure.add_subplot()
+    axes.loglog(n, seconds, "o-", label=f"measured, exponent {times['exponent']:.2f}")
+    axes.loglog(n, seconds[0] * n * np.log(n) / (n[0] * np.log(n[0])), "--", color="gray",
+                label="N log N from the first point")
+    axes.set(xlabel="vertices", ylabel="seconds of one core")
+    axes.grid(alpha=0.3)
+    axes.legend()
+    path = FOLDER / "time.png"
+    figure.savefig(path)
+    return path
