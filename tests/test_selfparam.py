@@ -427,7 +427,8 @@ def test_the_order_in_memory_changes_nothing_but_time(monkeypatch):
     assert farthest(expected.decimated, result.decimated) < 1e-12  # the costs of a noisy mesh have no ties
 
     def centres_below(parameterization: SelfParameterization) -> np.ndarray:
-        faces, barycentric = parameterization.to_coarse(np.arange(len(mesh.faces)), np.full((len(mesh.faces), 3), 1 / 3))
+        centres = np.full((len(mesh.faces), 3), 1 / 3)
+        faces, barycentric = parameterization.to_coarse(np.arange(len(mesh.faces)), centres)
         return (barycentric[:, :, None] * parameterization.decimated[parameterization.faces[faces]]).sum(axis=1)
 
     np.testing.assert_allclose(centres_below(result), centres_below(expected), atol=1e-9)
