@@ -20,7 +20,7 @@ from neusub.discretization import make_pairs
 from neusub.generation import save_pairs
 from neusub.training import train
 
-NAMES = {"on_surface": "default", "decimated": "decimated"}
+NAMES = {"on_surface": "default", "decimated": "default-decimated"}
 DESCRIPTIONS = {
     "on_surface": "any mesh whose vertices lie on the shape: artists' models, scans; organic and man-made",
     "decimated": "meshes that an error-minimising decimation made, whose vertices lie off the surface",
@@ -65,6 +65,7 @@ def main() -> None:
     write_results(f"default-{options.input}", {**origin, **training_scores(result)})
     if options.ship:
         result.model.card["sources"] = [*recipe["sources"], {"file": "experiments/analytic.py", "licence": "MIT"}]
+        result.model.card["companions"] = {kind: name for kind, name in NAMES.items() if kind != options.input}
         ship(NAMES[options.input], origin["command"], DESCRIPTIONS[options.input], result)
 
 

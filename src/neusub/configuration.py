@@ -32,6 +32,7 @@ class TrainingConfig:
     levels: int = 2
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
+    bound: tuple[float, float] = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
     device: str = "auto"
@@ -52,7 +53,8 @@ PRESETS = {
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
     "default": TrainingConfig(batch=2, schedule="cosine", epochs=110, learning_rate=1e-3, loss="surface",
                               network=Architecture(40, 32, vectors=4, relative=True, residual=True, activation="silu",
-                                                   bound=(0.5, 0.6))),
+                                                   bound=(0.5, 0.6)),
+                              bound=(0.25, 0.6)),
 }
 
 

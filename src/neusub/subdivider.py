@@ -31,7 +31,7 @@ from neusub.topology import Topology, connected_components, topology_levels
 __all__ = ["Subdivider", "model_names", "subdivide"]
 
 FORMAT = "neusub-model-1"
-DEFAULT_MODEL = "smooth"
+DEFAULT_MODEL = "default"
 Scheme = Literal["neural", "loop", "butterfly", "midpoint"]
 Scale = Literal["edge", "box", "none"]
 Input = Literal["on_surface", "decimated"]

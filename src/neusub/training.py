@@ -31,7 +31,6 @@ from neusub.subdivider import Subdivider, resolve_device
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
 
-BOUND = (0.2, 0.3)  # of the shortest edge and of the height, for the displacements of a trained model (`bounds.py`)
 EDGE = 0.1  # mean coarse edge that pairs are brought to for a network that knows no scale: about the paper's
 KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed
 
@@ -104,7 +103,7 @@ class _Run:
 
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
-        plan = self.config.network if self.config.network.bound else replace(self.config.network, bound=BOUND)
+        plan = replace(self.config.network, bound=self.config.bound)
         network = NeuralSubdivision(plan)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
@@ -262,7 +261,7 @@ def load_checkpoint(path: Path, run: _Run) -> None:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
-    free = {"device", "threads", "checkpoint_every"}  # do not change what is learned
+    free = {"device", "threads", "checkpoint_every", "bound"}  # do not change what is learned
     if run.config.schedule == "constant":
         free.add("epochs")
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
