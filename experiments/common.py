@@ -31,11 +31,21 @@ def parser_of(module: str, doc: str | None) -> argparse.ArgumentParser:
     return parser
 
 
+def checked_out() -> str:
+    """The commit, and whether tracked files differ from it."""
+    def git(*words: str) -> str:
+        return subprocess.run(["git", *words], capture_output=True, text=True, check=True, cwd=HERE).stdout.strip()
+
+    return git("rev-parse", "HEAD") + (" with changes" if git("status", "--porcelain", "-uno") else "")
+
+
+COMMIT = checked_out()  # of the code as it was read, not of what is there when a long run ends
+
+
 def provenance(options: argparse.Namespace) -> dict:
     """Command, commit, machine and seed, as they stand in every result."""
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True, cwd=HERE)
     shown = [Path(word).name if "/" in word else word for word in sys.argv[1:]]  # no path of a machine
-    return {"command": " ".join([sys.argv[0], *shown]), "commit": commit.stdout.strip(),
+    return {"command": " ".join([sys.argv[0], *shown]), "commit": COMMIT,
             "machine": f"{platform.machine()}, {torch.get_num_threads()} thread(s), torch {torch.__version__}",
             "seed": getattr(options, "seed", 0)}
 

@@ -1,0 +1,49 @@
+"""The eight fixed TOSCA inputs: every scheme and every shipped model, on vertices on the surface and decimated ones.
+
+    python -m experiments fixed_inputs TOSCA --inputs tosca8_coarse.npz
+
+Two levels; H and M in TOSCA's units, H as the mean of five draws of the samples.  Networks get each kind of input as
+such where their card names weights for it.  Writes results/fixed_inputs.json.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+import neusub
+from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, score, write_results
+
+KINDS, SEEDS = ("on_surface", "decimated"), range(5)
+SCHEMES, MODELS = ("midpoint", "loop", "butterfly"), ("elephant", "default")
+
+
+def refined(mesh: neusub.Mesh, method: str, kind: str) -> neusub.Mesh:
+    if method in SCHEMES:
+        return neusub.subdivide(mesh, method, 2)[-1]  # type: ignore[arg-type]
+    model = neusub.Subdivider.load(method)
+    given = kind if kind in model.card.get("companions", {}) else None
+    return model.subdivide(mesh, 2, input=given)[-1]  # type: ignore[arg-type]
+
+
+def main() -> None:
+    parser = parser_of("experiments fixed_inputs", __doc__)
+    parser.add_argument("tosca", type=Path)
+    parser.add_argument("--inputs", type=Path, required=True)
+    options = parser.parse_args()
+    table: dict = {}
+    for kind in KINDS:
+        meshes = fixed_inputs(options.inputs, kind)
+        references = {name: fixed_reference(options.tosca, name) for name in meshes}
+        for method in (*SCHEMES, *MODELS):
+            shapes = {name: dict(zip("HM", score(refined(mesh, method, kind), references[name], SEEDS)))
+                      for name, mesh in meshes.items()}
+            means = {key: float(np.mean([row[key] for row in shapes.values()])) for key in "HM"}
+            table.setdefault(kind, {})[method] = {**means, "shapes": shapes}
+            print(f"{kind:12s}{method:12s}H {means['H']:.3f}  M {means['M']:.4f}", flush=True)
+    write_results("fixed_inputs", {"citation": TOSCA, **provenance(options), **table})
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,72 @@
+"""How smooth the demo's refined meshes are: angles between neighbouring faces, folds, distances where there is a truth.
+
+    python -m experiments smoothness
+
+Two levels of each scheme and of the shipped weights.  A fold is an edge whose faces turn by more than 120 degrees; the
+coarse meshes have some.  The ring is a torus: its own angles are given for the refinement's vertices moved onto it.
+Writes results/smoothness.json.
+"""
+
+from __future__ import annotations
+
+import sys
+
+import numpy as np
+
+import neusub
+from experiments.common import HERE, parser_of, provenance, score, write_results
+from neusub.metrics import face_normals
+
+FOLD = 120  # degrees
+TUBE = 0.4  # of the demo's ring, whose larger radius is 1
+
+
+def angles(mesh: neusub.Mesh) -> np.ndarray:
+    """Degrees between the normals of the two faces of each inner edge."""
+    normals = face_normals(mesh)
+    halfedges = mesh.topology.edge_halfedges[~mesh.topology.is_boundary_edge]
+    cosine = (normals[halfedges[:, 0] // 3] * normals[halfedges[:, 1] // 3]).sum(axis=1)
+    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
+
+
+def on_torus(mesh: neusub.Mesh) -> neusub.Mesh:
+    """The same faces, their vertices moved to the nearest point of the torus that the ring was cut from."""
+    around = mesh.vertices * [1, 1, 0]
+    centre = around / np.linalg.norm(around, axis=1, keepdims=True)
+    across = mesh.vertices - centre
+    return mesh.replace_vertices(centre + TUBE * across / np.linalg.norm(across, axis=1, keepdims=True))
+
+
+def numbers_of(mesh: neusub.Mesh, name: str, truth: neusub.Mesh | None) -> dict:
+    degrees = angles(mesh)
+    numbers = {"mean": float(degrees.mean()), "median": float(np.median(degrees)), "folds": int((degrees > FOLD).sum())}
+    if name == "ring":
+        exact = on_torus(mesh)
+        numbers |= {"mean_on_the_torus": float(angles(exact).mean()),
+                    "distance_to_the_torus": float(np.linalg.norm(mesh.vertices - exact.vertices, axis=1).mean())}
+    if truth is not None:
+        numbers["H"], numbers["M"] = score(mesh, truth)
+    return numbers
+
+
+def main() -> None:
+    options = parser_of("experiments smoothness", __doc__).parse_args()
+    sys.path.insert(0, str(HERE.parent / "examples"))
+    import demo
+
+    fine = demo.blob()
+    meshes = {**demo.low_poly_models(), "blob": demo.decimated_on_surface(fine, 400), "ring": demo.textured_ring()}
+    rows: dict = {}
+    for name, mesh in meshes.items():
+        truth = fine if name == "blob" else None
+        refined = {scheme: neusub.subdivide(mesh, scheme, 2)[-1] for scheme in ("midpoint", "loop", "butterfly")}
+        refined |= {model: neusub.subdivide(mesh, "neural", 2, model=model)[-1] for model in ("elephant", "default")}
+        rows[name] = {"coarse": numbers_of(mesh, "", None)}
+        rows[name] |= {scheme: numbers_of(result, name, truth) for scheme, result in refined.items()}
+        for scheme, numbers in rows[name].items():
+            print(f"{name:10s}{scheme:10s}", *(f"{key} {value:.4g}" for key, value in numbers.items()), flush=True)
+    write_results("smoothness", {**provenance(options), "meshes": rows})
+
+
+if __name__ == "__main__":
+    main()
