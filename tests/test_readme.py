@@ -26,6 +26,7 @@ def workplace(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     neusub.save(Mesh(**shapes.uv_box()), "cow.obj")
     neusub.save(Mesh(*shapes.cube()), "part.obj")
+    neusub.save(Mesh(*shapes.icosphere(1)), "lod.obj")
     neusub.save(Mesh(*shapes.icosphere(3)), "original.obj")
     neusub.save(Mesh(*shapes.grid()), "scan.ply")
     return tmp_path
