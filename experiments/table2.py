@@ -35,6 +35,7 @@ from experiments.common import (
 )
 from neusub.configuration import PRESETS, PairConfig
 from neusub.discretization import make_pairs
+from neusub.generation import read_header
 from neusub.training import TrainingResult, train
 
 SHOWS = ("tab:quantitative",)
@@ -60,17 +61,10 @@ def trained(part: str, options: argparse.Namespace) -> tuple[TrainingResult, dic
     config = PairConfig(total=20 if quick else 200, validation=5 if quick else 20, seed=options.seed)
     folder = options.runs / "table2" / (f"{part}-quick" if quick else part)
     report = make_pairs(sources, folder, config, strict=True, licence=TOSCA)
-    files = [json.loads(line) for line in pair_reports(report.train)]
+    files = [read_header(file)["report"] for file in report.train]
     settings = replace(PRESETS["paper"], seed=options.seed, threads=options.threads, epochs=5 if quick else 700)
     result = train(report.train, report.validation, Path(f"{folder}-run"), settings, resume=True, on_epoch=show)
     return result, {key: float(np.mean([file[key] for file in files])) for key in files[0]}
-
-
-def pair_reports(files: tuple[Path, ...]) -> Iterator[str]:
-    from neusub.generation import read_header
-
-    for file in files:
-        yield json.dumps(read_header(file)["report"])
 
 
 def test_inputs(options: argparse.Namespace, category: str) -> Iterator[tuple[neusub.Mesh, dict[str, neusub.Mesh]]]:
