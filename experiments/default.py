@@ -1,4 +1,5 @@
-"""The default weights: sixteen shapes of free licence beside closed-form surfaces, for both kinds of input.
+"""The default weights: sixteen shapes of free licence, stretched and bent copies of them, sharp solids, and closed-form
+surfaces, for both kinds of input.
 
     python -m experiments default MESHES --input on_surface --ship
     python -m experiments default MESHES --input decimated --ship
@@ -13,8 +14,13 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
+
+import neusub
+
 from experiments.analytic import analytic_pairs
 from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
+from experiments.sources import bent, solid, stretched
 from neusub.configuration import PRESETS, PairConfig
 from neusub.discretization import make_pairs
 from neusub.generation import save_pairs
@@ -28,13 +34,45 @@ DESCRIPTIONS = {
 LICENCE = "CC BY 3.0, CC BY 4.0 or CC0: see the recipe"
 
 
+def sources_of(recipe: dict, meshes: Path, folder: Path) -> dict[str, list[Path]]:
+    """The fine meshes as files: the recipe's with their altered copies, and the solids."""
+    folder.mkdir(parents=True, exist_ok=True)
+    files: dict[str, list[Path]] = {"shapes": [], "solids": []}
+    for number, source in enumerate(recipe["sources"]):
+        original = meshes / source["file"]
+        files["shapes"].append(original)
+        generator = np.random.default_rng([recipe["seed"], number])
+        for copy in range(1, recipe["copies"]):
+            path = folder / f"{original.stem}-{copy}.ply"
+            mesh = stretched(neusub.load(original), generator)
+            if source["file"].startswith("organic"):
+                mesh = bent(mesh, generator)
+            files["shapes"].append(written(mesh, path))
+    for number in range(recipe["solids"]):
+        files["solids"].append(written(solid(number, recipe["seed"]), folder / f"solid-{number}.ply"))
+    return files
+
+
+def written(mesh: neusub.Mesh, path: Path) -> Path:
+    if not path.exists():
+        neusub.save(mesh, path)
+    return path
+
+
 def pair_files(recipe: dict, meshes: Path, folder: Path) -> tuple[list[Path], list[Path]]:
-    """Training and validation files of the recipe's sources."""
-    config = PairConfig(per_mesh=recipe["per_mesh"], validation=recipe["validation"],
-                        vertices=tuple(recipe["vertices"]), levels=recipe["levels"], seed=recipe["seed"])
-    report = make_pairs([meshes / source["file"] for source in recipe["sources"]], folder, config, strict=True,
-                        licence=LICENCE)
-    return list(report.train), list(report.validation)
+    """Training and validation files: of every source by every strategy."""
+    training, validation = [], []
+    for kind, sources in sources_of(recipe, meshes, folder / "sources").items():
+        plan = recipe["pairs"][kind]
+        for strategy in recipe["strategies"]:
+            config = PairConfig(plan["per_mesh"], validation=plan["validation"], vertices=tuple(recipe["vertices"]),
+                                levels=recipe["levels"], strategy=strategy, seed=recipe["seed"])
+            report = make_pairs(sources, folder / f"{kind}-{strategy}", config,
+                                licence="MIT" if kind == "solids" else LICENCE)
+            print(f"{kind}, {strategy}: {len(report.train)} files; failed: {report.failed}", flush=True)
+            training += report.train
+            validation += report.validation
+    return training, validation
 
 
 def closed_form_file(recipe: dict, folder: Path) -> Path:
@@ -64,7 +102,8 @@ def main() -> None:
     origin = provenance(options)
     write_results(f"default-{options.input}", {**origin, **training_scores(result)})
     if options.ship:
-        result.model.card["sources"] = [*recipe["sources"], {"file": "experiments/analytic.py", "licence": "MIT"}]
+        result.model.card["sources"] = [*recipe["sources"], {"file": "experiments/analytic.py", "licence": "MIT"},
+                                        {"file": "experiments/sources.py", "licence": "MIT"}]
         result.model.card["companions"] = {kind: name for kind, name in NAMES.items() if kind != options.input}
         ship(NAMES[options.input], origin["command"], DESCRIPTIONS[options.input], result)
 

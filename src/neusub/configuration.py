@@ -30,6 +30,7 @@ class TrainingConfig:
     learning_rate: float = 2e-3
     schedule: Literal["constant", "cosine"] = "constant"  # cosine goes down to zero at the last epoch
     levels: int = 2
+    shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
     bound: tuple[float, float] = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
@@ -44,6 +45,8 @@ class TrainingConfig:
         for name in ("epochs", "batch", "levels", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: take at least 1.")
+        if not 0 <= self.shallow <= 1:
+            raise ValueError(f"shallow = {self.shallow}: take a share, 0 to 1.")
         if not self.learning_rate > 0:
             raise ValueError(f"learning_rate = {self.learning_rate}: take a positive number.")
 
@@ -51,8 +54,8 @@ class TrainingConfig:
 PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
-    "default": TrainingConfig(batch=2, schedule="cosine", epochs=110, learning_rate=1e-3, loss="surface",
-                              network=Architecture(40, 32, vectors=4, relative=True, residual=True, activation="silu",
+    "default": TrainingConfig(batch=2, schedule="cosine", epochs=90, learning_rate=1e-3, shallow=0.6, loss="surface",
+                              network=Architecture(64, 48, vectors=4, relative=True, residual=True, activation="silu",
                                                    bound=(0.5, 0.6)),
                               bound=(0.25, 0.6)),
 }

@@ -188,11 +188,11 @@ def mean_coarse_edge(pairs: list[Pair]) -> float:
 
 
 def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
-    """One pass over the training pairs; the mean loss of a mesh."""
+    """One pass over the training pairs; the mean loss of a mesh, over the levels that its step went to."""
     total, count = torch.zeros((), device=fabric.device, dtype=torch.float64), 0
-    for batch, meshes in batches.epoch(epoch):
+    for batch, meshes, depth in batches.epoch(epoch):
         optimizer.zero_grad(set_to_none=True)
-        loss = batch.loss(model(batch.positions, batch.levels), batches.config.loss) / meshes
+        loss = batch.loss(model(batch.positions, batch.levels[:depth]), batches.config.loss) / meshes
         fabric.backward(loss)
         optimizer.step()
         total += loss.detach() * meshes
@@ -228,14 +228,16 @@ class _Batches:
         self.groups = [order[i : i + config.batch] for i in range(0, len(order), config.batch)]
         self.kept: dict[int, Batch] = {}
 
-    def epoch(self, epoch: int) -> Iterator[tuple[Batch, int]]:
+    def epoch(self, epoch: int) -> Iterator[tuple[Batch, int, int]]:
+        """Each batch, its number of meshes, and to which level its step goes."""
+        stops = np.random.default_rng([self.config.seed, epoch, 1]).random(len(self.groups)) < self.config.shallow
         for k in epoch_order(len(self.groups), self.config.seed, epoch):
             batch = self.kept.get(k)
             if batch is None:
                 batch = batch_pairs([self.pairs[i] for i in self.groups[k]], self.config.input, self.device)
                 if len(self.pairs) <= KEPT_PAIRS:
                     self.kept[k] = batch
-            yield batch, len(self.groups[k])
+            yield batch, len(self.groups[k]), 1 if stops[k] else self.config.levels
 
 
 # --- checkpoints and logs ----------------------------------------------------------------------------------------
