@@ -17,7 +17,6 @@ from pathlib import Path
 import numpy as np
 
 import neusub
-
 from experiments.analytic import analytic_pairs
 from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
 from experiments.sources import bent, solid, stretched
