@@ -13,6 +13,7 @@ import pyvista as pv
 from scipy.spatial import cKDTree
 
 from neusub import schemes
+from neusub.creases import crease_edges, crease_mask, refine_creases
 from neusub.topology import Topology, build_topology, refine_faces
 
 SCHEMES = ["midpoint", "loop", "butterfly"]
@@ -179,7 +180,7 @@ def test_operator_equals_level_by_level():
     operator = schemes.subdivision_operator(topology, "loop", 2, creases=creases)
     first = schemes.subdivision_matrix(topology, "loop", creases=creases) @ vertices
     middle = build_topology(refine_faces(topology), len(first))
-    creases = schemes.refine_creases(topology, creases)
+    creases = refine_creases(topology, creases)
     second = schemes.subdivision_matrix(middle, "loop", creases=creases) @ first
     np.testing.assert_array_equal(operator.apply(vertices)[2], second)
     np.testing.assert_array_equal(operator.faces[2], refine_faces(middle))
@@ -295,7 +296,7 @@ def test_butterfly_is_the_modified_one():
 def test_a_cube_with_sharp_edges_stays_a_cube(scheme):
     vertices, faces = cube()
     topology = build_topology(faces, 8)
-    creases = schemes.crease_edges(topology, vertices, 30)
+    creases = crease_edges(topology, vertices, 30)
     assert creases.sum() == 12
     fine = schemes.subdivision_operator(topology, scheme, 3, creases=creases).apply(vertices)[-1]
     np.testing.assert_array_equal(fine[:8], vertices)
@@ -311,7 +312,7 @@ def test_a_crease_depends_on_itself_only(scheme):
     matrix = schemes.subdivision_matrix(topology, scheme, creases=creases).toarray()
     on_crease = np.concatenate([equator, creases])
     assert not matrix[np.ix_(on_crease, ~equator)].any()
-    fine = schemes.refine_creases(topology, creases)
+    fine = refine_creases(topology, creases)
     assert fine.sum() == 2 * creases.sum()
     # Each side is computed as if the other were not there.
     upper = vertices[:, 2] > 1e-9
@@ -347,10 +348,10 @@ def test_creases_by_mask_index_and_pair_are_the_same():
     mask = np.zeros(len(topology.edges), dtype=bool)
     mask[index] = True
     for creases in (mask, index, np.array([[3, 0], [0, 5]])):
-        np.testing.assert_array_equal(schemes.crease_mask(topology, creases), mask)
+        np.testing.assert_array_equal(crease_mask(topology, creases), mask)
     for wrong in (np.array([[1, 3]]), np.array([99]), np.array([[0, 99]]), mask[:-1]):
         with pytest.raises(ValueError, match="crease"):
-            schemes.crease_mask(topology, wrong)
+            crease_mask(topology, wrong)
 
 
 # ---- Loop's limit surface ---------------------------------------------------------------------------------------
@@ -365,7 +366,7 @@ def test_limit_is_the_same_from_every_level(vertices, faces, weights, with_creas
     fine = schemes.subdivision_matrix(topology, "loop", weights=weights, creases=creases) @ vertices
     finer = build_topology(refine_faces(topology), len(fine))
     position, normal = schemes.loop_limit(topology, vertices, weights=weights, creases=creases)
-    creases_fine = schemes.refine_creases(topology, creases, finer)
+    creases_fine = refine_creases(topology, creases, finer)
     again, normal_again = schemes.loop_limit(finer, fine, weights=weights, creases=creases_fine)
     np.testing.assert_allclose(again[: len(vertices)], position, atol=ROUNDING)
     # A corner has no tangent plane: its normal is a mean over faces, which refinement may change.

@@ -41,7 +41,7 @@ def subdivide_command(
         limit_levels: Levels of classic Loop after the network's.
         input: Where the coarse vertices lie, if not on the surface: 'decimated' for meshes that a decimation made.
         scale: What is brought to the training's scale: each part's mean edge, the whole box, or nothing.
-        crease_angle: Loop and butterfly keep edges sharper than this (degrees).
+        crease_angle: Edges sharper than this (degrees) stay creases; not with midpoint.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         device: auto, cpu, cuda, ...
         overwrite: Replace files that exist.

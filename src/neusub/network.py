@@ -14,7 +14,7 @@ Vectors of half-flaps are stored (3, n), one row a coordinate.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import NamedTuple
 
 import torch
@@ -28,6 +28,9 @@ from neusub.flaps import FlapGroups, LevelFlaps, gather_corners, pool, sum_slots
 from neusub.frames import differential_coordinates, edge_vectors, in_frames, local_frames, sizes, vertex_normals
 
 __all__ = ["HalfFlapMLP", "NeuralSubdivision"]
+
+Given = tuple[Tensor, Tensor] | None  # vertices (k,), and their positions (k, 3)
+
 
 class Values(NamedTuple):
     """What modules hand on of vertices or edges."""
@@ -123,23 +126,27 @@ class NeuralSubdivision(nn.Module):
         self.edge = HalfFlapMLP(plan, plan.features, plan.vectors)
 
     def forward(
-        self, positions: Float[Tensor, "nV 3"], levels: list[LevelFlaps]
+        self, positions: Float[Tensor, "nV 3"], levels: list[LevelFlaps], given: Sequence[Given] | None = None
     ) -> list[Float[Tensor, "nV_l 3"]]:
-        """Vertex positions of levels 0 .. len(levels); at least one level."""
+        """Vertex positions of levels 0 .. len(levels); at least one level.
+
+        given: of each level, vertices that go to given places instead (creases).
+        """
+        given = given or [None] * (len(levels) + 1)
         first = levels[0].by_vertex
         vectors = differential_coordinates(first, positions, self.plan.relative)
         if self.plan.vectors:
             vectors = torch.cat([vectors, vertex_normals(first, positions)], dim=1)
         move, values, _ = self.initial(first, positions, Values(None, vectors))
-        positions = positions + move
+        positions = put(positions + move, given[0])
         outputs = [positions]
         for k, level in enumerate(levels):
             move, learned, heights = self.vertex(level.by_vertex, positions, values)
             values = self._added(values, learned)
-            positions = positions + move
+            positions = put(positions + move, given[k])
             is_last = k + 1 == len(levels)
             move, learned, _ = self.edge(level.by_edge, positions, values, heights, learns=not is_last)
-            positions = torch.cat([positions, means(level, positions) + move])
+            positions = put(torch.cat([positions, means(level, positions) + move]), given[k + 1])
             outputs.append(positions)
             if not is_last:
                 between = Values(*(None if v is None else means(level, v) for v in values))
@@ -149,6 +156,11 @@ class NeuralSubdivision(nn.Module):
     def _added(self, values: Values, learned: Values) -> Values:
         """What a module learned, added to what there was where the network is residual."""
         return values.merged(learned, torch.add) if self.plan.residual else learned
+
+
+def put(positions: Float[Tensor, "nV 3"], given: Given) -> Float[Tensor, "nV 3"]:
+    """With the given vertices in their places."""
+    return positions if given is None else positions.index_copy(0, *given)
 
 
 def means(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Tensor, "nE c"]:

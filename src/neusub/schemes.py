@@ -28,15 +28,13 @@ from numpy import ndarray
 from scipy.sparse import csc_array, csr_array
 
 from neusub.butterfly import butterfly_edges
+from neusub.creases import area_normals, crease_mask, marked_creases, refine_creases, unit_vectors
 from neusub.rings import Around, Block, grouped, sharp_count
 from neusub.topology import Topology, build_topology, refine_faces
 
 __all__ = [
     "Operator",
-    "crease_edges",
-    "crease_mask",
     "loop_limit",
-    "refine_creases",
     "subdivide_classic",
     "subdivision_matrix",
     "subdivision_operator",
@@ -118,10 +116,7 @@ def subdivide_classic(
     Colours follow the scheme, clipped to [0, 1].
     Raises: ValueError as `subdivision_matrix` does.
     """
-    sharp = None if creases is None else crease_mask(mesh.topology, creases)
-    if crease_angle is not None:
-        by_angle = crease_edges(mesh.topology, mesh.vertices, crease_angle)
-        sharp = by_angle if sharp is None else sharp | by_angle
+    sharp = marked_creases(mesh.topology, mesh.vertices, creases, crease_angle)
     meshes = [mesh]
     for level in range(levels + limit_levels):
         topology = mesh.topology
@@ -132,59 +127,6 @@ def subdivide_classic(
         if sharp is not None and level + 1 < levels + limit_levels:
             sharp = refine_creases(topology, sharp, mesh.topology)
     return meshes
-
-
-# ---- creases ----------------------------------------------------------------------------------------------------
-
-
-def crease_mask(topology: Topology, creases: ndarray) -> Bool[ndarray, " nE"]:
-    """Creases as a mask over edges, from a mask, from edge indices (n,) or from vertex pairs (n, 2), in any order."""
-    creases = np.asarray(creases)
-    n_edges, n = len(topology.edges), topology.n_vertices
-    if creases.dtype == bool:
-        if creases.shape != (n_edges,):
-            raise ValueError(f"crease mask has shape {creases.shape}: expected one entry per edge, ({n_edges},)")
-        return creases
-    index = creases.astype(np.int64)
-    if creases.ndim == 2:
-        pairs = np.sort(index, axis=1)
-        index = np.searchsorted(topology.edges @ [n, 1], pairs @ [n, 1]) if n_edges else np.zeros(len(pairs), int)
-        found = (topology.edges[np.minimum(index, n_edges - 1)] == pairs).all(axis=1)
-        if not found.all():
-            raise ValueError(f"crease {creases[~found][0].tolist()} is not an edge of the mesh: name both its vertices")
-    if index.size and (index.min() < 0 or index.max() >= n_edges):
-        raise ValueError(f"crease edge index outside 0 .. {n_edges - 1}: {index.min()} .. {index.max()}")
-    mask = np.zeros(n_edges, dtype=bool)
-    mask[index] = True
-    return mask
-
-
-def crease_edges(
-    topology: Topology, vertices: Float64[ndarray, "nV 3"], angle_degrees: float
-) -> Bool[ndarray, " nE"]:
-    """Interior edges where the normals of the two faces differ by more than the angle; 0 degrees is flat.
-
-    A face without area has no normal and makes no crease.
-    """
-    normals = _unit(_face_normals(topology, vertices))
-    left, right = (topology.edge_halfedges // 3).T
-    first, second = normals[left], normals[right]
-    # atan2 of sine and cosine stays exact near 0 and 180 degrees, where arccos does not.
-    angle = np.arctan2(np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1))
-    return (np.rad2deg(angle) > angle_degrees) & ~topology.is_boundary_edge
-
-
-def refine_creases(
-    topology: Topology, mask: Bool[ndarray, " nE"], refined: Topology | None = None
-) -> Bool[ndarray, " nE_fine"]:
-    """Creases of the next level: both halves of each crease.  `refined`: its topology, where there already is one."""
-    n = topology.n_vertices
-    if refined is None:
-        refined = build_topology(refine_faces(topology), n + len(topology.edges))
-    # An old vertex is joined only to the midpoints of its own edges, so such an edge is half of an old one.
-    low, high = refined.edges.T
-    is_half = low < n
-    return is_half & mask[np.where(is_half, high - n, 0)]
 
 
 # ---- sparse rows ------------------------------------------------------------------------------------------------
@@ -311,16 +253,16 @@ def _limit(
     for n, group in grouped(topology.valence[smooth], smooth):
         angle = 2 * np.pi / n * np.arange(n)
         ring = vertices[around.ring(outgoing[group], n)]
-        normals[group] = _unit(np.cross(*(np.einsum("j,ijk->ik", f(angle), ring) for f in (np.cos, np.sin))))
+        normals[group] = unit_vectors(np.cross(*(np.einsum("j,ijk->ik", f(angle), ring) for f in (np.cos, np.sin))))
     start = np.flatnonzero(around.sharp & (count[around.tail] == 2))
     for k, group in grouped(around.fan_size(start), start):
         vertex = around.tail[group]
         side = _boundary_normal(vertices[vertex], vertices[around.fan(group, k)], k)
         np.add.at(normals, vertex, side)
-    normals = _unit(normals)
+    normals = unit_vectors(normals)
     flat = np.zeros_like(normals)
-    np.add.at(flat, topology.faces.reshape(-1), np.repeat(_face_normals(topology, vertices), 3, axis=0))
-    return positions, np.where(normals.any(axis=1, keepdims=True), normals, _unit(flat))
+    np.add.at(flat, topology.faces.reshape(-1), np.repeat(area_normals(topology, vertices), 3, axis=0))
+    return positions, np.where(normals.any(axis=1, keepdims=True), normals, unit_vectors(flat))
 
 
 def _boundary_normal(center: ndarray, fan: ndarray, k: int) -> ndarray:
@@ -333,14 +275,4 @@ def _boundary_normal(center: ndarray, fan: ndarray, k: int) -> ndarray:
         weight = (1 + 2 * np.cos(theta)) * np.sin(theta * np.arange(k + 1))
         weight[[0, k]] = -total * np.cos(theta)
         inward = np.einsum("j,ijk->ik", weight, fan) - total * center
-    return _unit(np.cross(fan[:, 0] - fan[:, k], inward))
-
-
-def _face_normals(topology: Topology, vertices: Float64[ndarray, "nV 3"]) -> Float64[ndarray, "nF 3"]:
-    a, b, c = (vertices[topology.faces[:, i]] for i in range(3))
-    return np.cross(b - a, c - a)
-
-
-def _unit(vectors: ndarray) -> ndarray:
-    length = np.linalg.norm(vectors, axis=-1, keepdims=True)
-    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0)
+    return unit_vectors(np.cross(fan[:, 0] - fan[:, k], inward))

@@ -20,12 +20,13 @@ from safetensors.torch import save_file
 
 from neusub import __version__
 from neusub.configuration import Architecture
+from neusub.creases import cut_open, marked_creases, refine_creases
 from neusub.errors import ModelError
 from neusub.files import replacing
 from neusub.flaps import level_flaps
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
-from neusub.schemes import subdivide_classic
+from neusub.schemes import subdivide_classic, subdivision_operator
 from neusub.topology import Topology, connected_components, topology_levels
 
 __all__ = ["Subdivider", "model_names", "subdivide"]
@@ -99,56 +100,105 @@ class Subdivider:
         return Subdivider.load(name, device=str(weight.device), dtype=weight.dtype)
 
     def subdivide(self, mesh: Mesh, levels: int = 2, limit_levels: int = 0, *, scale: Scale = "edge",
-                  input: Input | None = None) -> list[Mesh]:
+                  input: Input | None = None, creases: ndarray | None = None,
+                  crease_angle: float | None = None) -> list[Mesh]:
         """Levels 0 .. levels of the network, then `limit_levels` of classic Loop, in the mesh's own scale and place.
 
         Level 0 has the input's faces and vertices that the network moved.  scale: what is brought to the card's
         before the network and taken back after it, by one factor for all levels: "edge", each component's mean edge;
         "box", the longest side of the whole mesh's box; "none", nothing.
         input: where the coarse vertices lie, if not as the model's card says: "on_surface", "decimated" (`companion`).
+        creases: bool (nE,), edge indices (n,) or vertex pairs (n, 2), and crease_angle, in degrees, of the edges that
+        are creases too: they go along butterfly's curve rule, and neither side of them sees the other.
         UVs go linearly along each corner's edges, colours to the mean of an edge's ends.
-        Raises ValueError for levels below 1 or an unknown scale, ModelError for a kind of input without weights.
+        Raises ValueError for levels below 1, an unknown scale or a crease that is no edge, ModelError for a kind of
+        input without weights.
         """
         if input is not None and input != self.card["input"]:
-            return self.companion(input).subdivide(mesh, levels, limit_levels, scale=scale)
+            return self.companion(input).subdivide(mesh, levels, limit_levels, scale=scale, creases=creases,
+                                                   crease_angle=crease_angle)
         if levels < 1 or limit_levels < 0:
             raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: at least one level, and none below 0.")
         topologies, faces = topology_levels(mesh.faces, len(mesh.vertices), levels)
-        component, centre, factor = self._normalisation(mesh, topologies[0], scale)
+        sharp = marked_creases(topologies[0], mesh.vertices, creases, crease_angle)
+        if sharp is not None and sharp.any():
+            outputs = self._creased(mesh.vertices, topologies, faces, sharp, scale)
+        else:
+            outputs = self._refined(mesh.vertices, topologies, scale)
+        result, colors = [mesh.replace_vertices(outputs[0])], mesh.colors
+        for topology, fine, vertices in zip(topologies, [*(t.faces for t in topologies[1:]), faces], outputs[1:]):
+            if colors is not None:
+                colors = np.concatenate([colors, colors[topology.edges].mean(axis=1)])
+            result.append(result[-1].refined(vertices, fine, colors))
+        if limit_levels == 0:
+            return result
+        if sharp is not None:
+            for topology, finer in zip(topologies, [*topologies[1:], result[-1].topology]):
+                sharp = refine_creases(topology, sharp, finer)
+        return result + subdivide_classic(result[-1], "loop", limit_levels, creases=sharp)[1:]
+
+    def _refined(self, vertices: ndarray, topologies: list[Topology], scale: Scale,
+                 given: list[tuple[ndarray, ndarray]] | None = None) -> list[ndarray]:
+        """Positions of each level; given: of each level, vertices and their places."""
+        component, centre, factor = self._normalisation(vertices, topologies[0], scale)
+        components = [component]
+        for topology in topologies:
+            components.append(np.concatenate([components[-1], components[-1][topology.edges[:, 0]]]))
         weight = next(self.network.parameters())
-        start = (mesh.vertices - centre[component]) * factor[component, None]
+
+        def seen(positions: ndarray, component: ndarray) -> torch.Tensor:
+            values = (positions - centre[component]) * factor[component, None]
+            return torch.as_tensor(values, dtype=weight.dtype, device=weight.device)
+
+        puts = None if given is None else [
+            (torch.as_tensor(index, device=weight.device), seen(places, component[index]))
+            for (index, places), component in zip(given, components)]
         with torch.inference_mode():
             flaps = [level_flaps(topology, weight.device) for topology in topologies]
-            outputs = self.network(torch.as_tensor(start, dtype=weight.dtype, device=weight.device), flaps)
+            outputs = self.network(seen(vertices, component), flaps, puts)
             del flaps
-        connectivity = [*(topology.faces for topology in topologies), faces]
-        result, colors = [], mesh.colors
-        for level, output in enumerate(outputs):
-            if level:
-                edges = topologies[level - 1].edges
-                component = np.concatenate([component, component[edges[:, 0]]])
-                if colors is not None:
-                    colors = np.concatenate([colors, colors[edges].mean(axis=1)])
-            vertices = output.cpu().numpy() / factor[component, None] + centre[component]
-            if level == 0:
-                result.append(mesh.replace_vertices(vertices))
-            else:
-                result.append(result[-1].refined(vertices, connectivity[level], colors))
-        return result + subdivide_classic(result[-1], "loop", limit_levels)[1:]
+        return [output.cpu().numpy() / factor[component, None] + centre[component]
+                for output, component in zip(outputs, components)]
 
-    def _normalisation(self, mesh: Mesh, topology: Topology, scale: Scale):
+    def _creased(self, vertices: ndarray, topologies: list[Topology], faces: ndarray, sharp: ndarray,
+                 scale: Scale) -> list[ndarray]:
+        """Positions of each level: the mesh is cut along its creases, whose own points butterfly's curves give."""
+        cut_faces, origin = cut_open(topologies[0], sharp)
+        cuts, last_cut = topology_levels(cut_faces, len(origin), len(topologies))
+        copies = []  # of each level, for each of its vertices one of the cut mesh's: their faces' corners correspond
+        for whole, cut in zip([*(t.faces for t in topologies), faces], [*(t.faces for t in cuts), last_cut]):
+            copies.append((whole.reshape(-1), cut.reshape(-1)))
+        curves = subdivision_operator(topologies[0], "butterfly", len(topologies), creases=sharp).apply(vertices)
+        given, masks = [], [np.zeros(len(vertices), dtype=bool)]
+        masks[0][topologies[0].edges[sharp]] = True
+        for topology, finer in zip(topologies, [*topologies[1:], None]):
+            masks.append(np.concatenate([masks[-1], sharp]))
+            if finer is not None:
+                sharp = refine_creases(topology, sharp, finer)
+        for (whole, cut), mask, places in zip(copies, masks, curves):
+            on_crease = mask[whole]
+            given.append((cut[on_crease], places[whole[on_crease]]))
+        outputs = self._refined(vertices[origin], cuts, scale, given)
+        results = []
+        for (whole, cut), output, places in zip(copies, outputs, curves):
+            result = places.copy()  # isolated vertices stay
+            result[whole] = output[cut]
+            results.append(result)
+        return results
+
+    def _normalisation(self, vertices: ndarray, topology: Topology, scale: Scale):
         """Component of each vertex; centre (k, 3) and factor (k,) of each component."""
         if scale == "edge":
-            count, component = connected_components(mesh.faces, len(mesh.vertices))
-            factor = self.card["scale"]["edge"] / _mean_edges(mesh.vertices, topology, component, count)
+            count, component = connected_components(topology.faces, len(vertices))
+            factor = self.card["scale"]["edge"] / _mean_edges(vertices, topology, component, count)
         elif scale in ("box", "none"):
-            count, component = 1, np.zeros(len(mesh.vertices), dtype=np.int64)
-            side = float(np.ptp(mesh.vertices, axis=0).max())
+            count, component = 1, np.zeros(len(vertices), dtype=np.int64)
+            side = float(np.ptp(vertices, axis=0).max())
             factor = np.array([self.card["scale"]["box"] / (side or 1.0) if scale == "box" else 1.0])
         else:
             raise ValueError(f"scale {scale!r} is not one of 'edge', 'box', 'none'.")
         weights = np.bincount(component, minlength=count)
-        centre = np.stack([np.bincount(component, mesh.vertices[:, k], count) / weights for k in range(3)], axis=1)
+        centre = np.stack([np.bincount(component, vertices[:, k], count) / weights for k in range(3)], axis=1)
         return component, centre, factor
 
 
@@ -198,15 +248,16 @@ def subdivide(
     """Refine a mesh by a network or a classical scheme; the list of its levels, 0 first.
 
     limit_levels: levels of Loop after that.  model, scale, input, device: of the neural scheme (`Subdivider`).  creases
-    (edges as vertex pairs) or crease_angle (degrees): edges that Loop and butterfly keep sharp.
-    Raises ValueError for an unknown scheme, negative levels, or creases with another scheme.
+    (edges as vertex pairs) or crease_angle (degrees): edges that stay sharp; midpoint has no use for them.
+    Raises ValueError for an unknown scheme, negative levels, or creases with midpoint.
     """
     if levels < 0 or limit_levels < 0:
         raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: none may be below 0.")
-    if scheme in ("neural", "midpoint") and (creases is not None or crease_angle is not None):
-        raise ValueError(f"the scheme {scheme!r} keeps no creases. Use 'loop' or 'butterfly', or leave them out.")
+    if scheme == "midpoint" and (creases is not None or crease_angle is not None):
+        raise ValueError("the scheme 'midpoint' has no creases. Use another scheme, or leave them out.")
     if scheme == "neural":
         model = model if isinstance(model, Subdivider) else Subdivider.load(model, device=device)
-        return model.subdivide(mesh, levels, limit_levels, scale=scale, input=input)
+        return model.subdivide(mesh, levels, limit_levels, scale=scale, input=input, creases=creases,
+                               crease_angle=crease_angle)
     return subdivide_classic(mesh, scheme, levels, creases=creases, crease_angle=crease_angle,
                              limit_levels=limit_levels)

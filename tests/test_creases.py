@@ -1,0 +1,107 @@
+"""Creases of the network: cut open, refined side by side, and closed again."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import torch
+
+import neusub
+import shapes
+from neusub import Mesh
+from neusub.creases import crease_edges, crease_mask, cut_open
+from neusub.metrics import face_normals
+from neusub.topology import build_topology, connected_components
+
+
+@pytest.fixture(scope="module")
+def model():
+    return neusub.Subdivider.load(dtype=torch.float64)
+
+
+def capped_cylinder(n: int = 10, rings: int = 3) -> Mesh:
+    angle = 2 * np.pi * np.arange(n) / n
+    circle = np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    side = np.concatenate([np.column_stack([circle, np.full(n, 0.6 * k)]) for k in range(rings)])
+    faces = []
+    for k in range(rings - 1):
+        for i in range(n):
+            a, b = k * n + i, k * n + (i + 1) % n
+            faces += [[a, b, b + n], [a, b + n, a + n]]
+    low, top = rings * n, (rings - 1) * n
+    for i in range(n):
+        j = (i + 1) % n
+        faces += [[low, j, i], [low + 1, top + i, top + j]]
+    return Mesh(np.concatenate([side, [[0, 0, 0], [0, 0, 0.6 * (rings - 1)]]]), np.array(faces))
+
+
+def test_a_cube_cut_along_its_edges_falls_into_six_squares():
+    topology = Mesh(*shapes.cube()).topology
+    creases = crease_edges(topology, Mesh(*shapes.cube()).vertices, 30)
+    faces, origin = cut_open(topology, creases)
+    assert creases.sum() == 12
+    assert len(origin) == 24
+    assert connected_components(faces, len(origin))[0] == 6
+    np.testing.assert_array_equal(origin[faces], topology.faces)
+    np.testing.assert_array_equal(origin[:8], np.arange(8))
+
+
+def test_a_cut_ends_at_darts_and_opens_what_lies_between_them():
+    topology = Mesh(*shapes.icosphere(1)).topology
+    a, b = topology.edges[0]
+    c = next(int(e.sum() - b) for e in topology.edges if b in e and a not in e)
+    one = crease_mask(topology, np.array([[a, b]]))
+    assert len(cut_open(topology, one)[1]) == topology.n_vertices  # both ends are darts: nothing comes apart
+    _, origin = cut_open(topology, crease_mask(topology, np.array([[a, b], [b, c]])))
+    assert origin[topology.n_vertices :].tolist() == [b]
+
+
+def test_isolated_vertices_keep_their_index():
+    faces, origin = cut_open(build_topology(np.array([[1, 2, 3]]), 5), np.zeros(3, dtype=bool))
+    assert origin.tolist() == [0, 1, 2, 3, 4]
+    assert faces.tolist() == [[1, 2, 3]]
+
+
+def test_a_cube_with_creases_stays_a_cube(model):
+    cube = Mesh(*shapes.cube())
+    fine = model.subdivide(cube, 3, 1, crease_angle=30)[-1]
+    centre = (cube.vertices.min(0) + cube.vertices.max(0)) / 2
+    half = np.ptp(cube.vertices, axis=0)[0] / 2
+    np.testing.assert_allclose(np.abs(fine.vertices - centre).max(axis=1), half, rtol=1e-12)
+    plain = np.abs(model.subdivide(cube, 3)[-1].vertices - centre).max(axis=1)
+    assert np.ptp(plain) > 0.1 * half  # without them it is round
+
+
+def test_points_of_a_crease_lie_on_its_curve_and_both_sides_meet_there(model):
+    cylinder = capped_cylinder()
+    result = model.subdivide(cylinder, 2, crease_angle=50)
+    curve = neusub.subdivide(cylinder, "butterfly", 2, crease_angle=50)
+    rim = np.isclose(curve[-1].vertices[:, 2], 0) & (np.hypot(*curve[-1].vertices[:, :2].T) > 0.97)
+    assert rim.sum() == 40
+    np.testing.assert_allclose(result[-1].vertices[rim], curve[-1].vertices[rim], atol=1e-12)
+    for level, plain in zip(result, model.subdivide(cylinder, 2)):
+        np.testing.assert_array_equal(level.faces, plain.faces)
+        assert not level.topology.is_boundary_edge.any()
+    normals = face_normals(result[-1])
+    assert (np.abs(normals[:, 2]) > 1 - 1e-12).sum() == 2 * 10 * 16  # caps stay flat
+    assert np.abs(normals[np.abs(normals[:, 2]) < 0.9, 2]).max() < 0.3  # and the side does not bend into them
+
+
+def test_marked_edges_are_creases_beside_those_of_the_angle(model):
+    cylinder = capped_cylinder()
+    rim = cylinder.topology.edges[crease_edges(cylinder.topology, cylinder.vertices, 50)]
+    marked = model.subdivide(cylinder, 1, creases=rim)[-1].vertices
+    np.testing.assert_array_equal(marked, model.subdivide(cylinder, 1, crease_angle=50)[-1].vertices)
+    np.testing.assert_array_equal(model.subdivide(cylinder, 1, crease_angle=170)[-1].vertices,
+                                  model.subdivide(cylinder, 1)[-1].vertices)
+    with pytest.raises(ValueError, match="is not an edge"):
+        model.subdivide(cylinder, 1, creases=np.array([[0, 5]]))
+
+
+def test_creases_survive_the_levels_of_loop(model):
+    cylinder = capped_cylinder()
+    fine = model.subdivide(cylinder, 1, 2, crease_angle=50)[-1]
+    top = np.isclose(fine.vertices[:, 2], fine.vertices[:, 2].max(), atol=1e-12)
+    radius = np.hypot(*fine.vertices[top, :2].T)
+    assert radius.max() > 0.95
+    assert top.sum() == 1 + 10 * sum(range(1, 9))  # all of the cap, and it is flat
