@@ -41,7 +41,7 @@ def files(tmp_path):
 @pytest.mark.parametrize("options", [
     {"batch": 1, "schedule": "constant"},
     {"batch": 3, "schedule": "cosine"},
-    {"batch": 3, "network": PRESETS["default"].network, "loss": "surface"},
+    {"batch": 3, "network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5},
 ])
 def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(files, tmp_path, options):
     config = replace(CONFIG, **options)
@@ -77,6 +77,16 @@ def test_the_loss_falls_and_the_best_weights_are_saved_with_their_card(files, tm
     assert card["scores"]["validation_loss"] == min(losses)
     assert card["licence"] == "CC0"
     assert card["training"]["data"][0]["source"] == "made"
+
+
+def test_steps_that_all_stop_at_level_1_are_those_of_a_training_for_one_level(files, tmp_path):
+    deep = replace(CONFIG, network=PRESETS["default"].network, batch=2)
+    for name, config in (("stopped", replace(deep, shallow=1.0)), ("one", replace(deep, levels=1)), ("deep", deep)):
+        train(*files, tmp_path / name, config)
+    stopped, one, full = ({key: value for key, value in load_file(tmp_path / name / "checkpoint.safetensors").items()
+                           if key.startswith("model.")} for name in ("stopped", "one", "deep"))
+    assert all(torch.equal(stopped[key], one[key]) for key in one)
+    assert not all(torch.equal(stopped[key], full[key]) for key in full)
 
 
 def test_the_seed_decides_the_run(files, tmp_path):

@@ -1,0 +1,55 @@
+"""What the experiments make by themselves: the list, and fine shapes to train on."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from experiments import sources
+from experiments.__main__ import names
+
+import shapes
+from neusub import Mesh
+from neusub.metrics import face_normals
+
+
+def volume(mesh: Mesh) -> float:
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+    return float((a * np.cross(b, c)).sum()) / 6
+
+
+def test_every_experiment_is_listed():
+    assert {"table2", "fixed_inputs", "default", "robustness", "manmade"} <= set(names())
+    assert not {"common", "sources", "analytic"} & set(names())
+
+
+@pytest.mark.parametrize("number", range(6))
+def test_solids_are_closed_look_outwards_and_depend_on_their_number_alone(number):
+    solid = sources.solid(number)
+    assert not solid.topology.is_boundary_edge.any()
+    assert volume(solid) > 0
+    np.testing.assert_array_equal(solid.vertices, sources.solid(number).vertices)
+    assert not np.array_equal(solid.vertices, sources.solid(number, seed=1).vertices)
+
+
+@pytest.mark.parametrize("make", [sources.lathe, sources.extrusion])
+def test_solids_are_sharp(make):
+    solid = make(np.random.default_rng(0))
+    left, right = (solid.topology.edge_halfedges // 3).T
+    normals = face_normals(solid)
+    assert ((normals[left] * normals[right]).sum(axis=1) < np.cos(np.radians(40))).sum() > 50
+
+
+def test_bending_folds_space_nowhere():
+    """By the Jacobian, from triples of points around each of many."""
+    points, step = np.random.default_rng(1).random((2000, 3)), 1e-5
+    corners = np.stack([points, *(points + step * axis for axis in np.eye(3))], axis=1).reshape(-1, 3)
+    faces = np.concatenate([np.arange(8000).reshape(-1, 4)[:, :3], np.arange(8000).reshape(-1, 4)[:, [0, 2, 3]]])
+    for seed in range(5):
+        moved = sources.bent(Mesh(corners, faces), np.random.default_rng(seed)).vertices.reshape(-1, 4, 3)
+        assert np.linalg.det((moved[:, 1:] - moved[:, :1]) / step).min() > 0
+
+
+def test_stretching_keeps_the_orientation():
+    ball = Mesh(*shapes.icosphere(2))
+    for seed in range(5):
+        assert volume(sources.stretched(ball, np.random.default_rng(seed))) > 0
