@@ -277,3 +277,16 @@ def test_the_validation_loss_equals_the_reference(golden, elephant, tmp_path):
     batches = [batch_pairs([pair]) for pair in load_pairs(paths[1])]
     loss = validate(reference_network(golden, torch.float32), batches)
     assert loss == pytest.approx(1.926012e-6, abs=5e-13)
+
+
+def test_displacements_fade_with_flatness():
+    """A random network makes no smooth surface rougher than it is: its displacements go down like the heights."""
+    def mean_move(level: int) -> float:
+        vertices, faces = shapes.icosphere(level)
+        moved = run(random_network(vectors=2, relative=True, flat=0.3), vertices, faces, 1)[0].numpy()
+        edge = np.linalg.norm(vertices[faces[:, 0]] - vertices[faces[:, 1]], axis=1).mean()
+        return float(np.linalg.norm(moved - vertices, axis=1).mean()) / edge
+
+    moves = [mean_move(level) for level in (2, 3, 4)]
+    assert moves[1] < 0.7 * moves[0]
+    assert moves[2] < 0.6 * moves[1]

@@ -6,9 +6,9 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from neusub.flaps import FlapGroups
+from neusub.flaps import FlapGroups, pool
 
-__all__ = ["bounded", "heights_of"]
+__all__ = ["bounded", "flattened", "heights_of"]
 
 NOTHING = 1e-6  # a bound below this, of a mesh at the training's scale, is that of a flat patch
 
@@ -17,6 +17,19 @@ def heights_of(groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Te
     """How far the surface around each vertex is from flat: the largest height of v2 or v3 over the frame's plane."""
     heights = (edges[1:] * axes[2]).sum(1).abs().amax(0)
     return torch.segment_reduce(heights, "max", offsets=groups.offsets)
+
+
+def flattened(
+    heights: Float[Tensor, " m"], groups: FlapGroups, size: Float[Tensor, " n"], flat: float
+) -> Float[Tensor, " m"]:
+    """A factor of displacements: h / (h + flat), with the height h in mean edges of the group's half-flaps.
+
+    From level to level the edges of a smooth surface halve, and heights and true displacements go down to a quarter.
+    What is wrong in a displacement stays in proportion to the edge, though, and makes the surface rougher, the deeper
+    the level; with this factor it goes down too.
+    """
+    edge = pool(groups, size[:, None])[:, 0] / groups.offsets.diff().to(size.dtype)
+    return heights / (heights + flat * edge)
 
 
 def bounded(

@@ -18,6 +18,7 @@ class Architecture:
     relative: bool = False  # lengths of each half-flap in units of its own mean edge: the network knows no scale
     residual: bool = False  # modules add to a vertex's features and vectors, instead of replacing them
     activation: Literal["relu", "silu"] = "relu"
+    flat: float = 0.0  # displacements fade with heights below this many edges; 0: they do not (`bounds.py`)
     bound: tuple[float, float] | None = None  # of displacements, in shortest edges and in heights (`bounds.py`)
 
 
@@ -56,7 +57,7 @@ PRESETS = {
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
     "default": TrainingConfig(batch=2, schedule="cosine", epochs=90, learning_rate=1e-3, shallow=0.6, loss="surface",
                               network=Architecture(64, 48, vectors=4, relative=True, residual=True, activation="silu",
-                                                   bound=(0.5, 0.6)),
+                                                   flat=0.3, bound=(0.5, 0.6)),
                               bound=(0.25, 0.6)),
 }
 

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import linear, relu, silu
 
-from neusub.bounds import bounded, heights_of
+from neusub.bounds import bounded, flattened, heights_of
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, gather_corners, pool, sum_slots
 from neusub.frames import differential_coordinates, edge_vectors, in_frames, local_frames, sizes, vertex_normals
@@ -67,7 +67,7 @@ class HalfFlapMLP(nn.Module):
         heights: Float[Tensor, " nV"] | None = None, learns: bool = True,
     ) -> tuple[Float[Tensor, "m 3"], Values, Float[Tensor, " m"] | None]:
         """Mean displacement of each group, in the axes of `positions`, its mean features and vectors (`learns`), and,
-        where displacements are bounded, its height: of its vertex, or from the `heights` of its two ends."""
+        where displacements depend on it, its height: of its vertex, or from the `heights` of its two ends."""
         corner = self.features + 3 * self.vectors
         columns = self.first.weight.split([corner, 3] * 3 + [corner], dim=1)
         turned = torch.cat([*columns[1::2], *(column[:, self.features :] for column in columns[::2])], dim=1)
@@ -106,13 +106,17 @@ class HalfFlapMLP(nn.Module):
         features = None
         if learns:  # the last layer is linear: the mean of its features is its value at the mean
             features = linear(pool(groups, hidden) / count, self.last.weight[given:], self.last.bias[given:])
-        if self.bound is None:
+        if self.bound is None and not self.plan.flat:
             return move, features, learned, None
         if heights is None:
             heights = heights_of(groups, edges.detach(), axes.detach())
         else:
             heights = torch.segment_reduce(heights[groups.corners[:, 0]], "max", offsets=groups.offsets)
-        return bounded(move, groups, edges.detach(), heights, self.bound), features, learned, heights
+        if self.plan.flat:
+            move = move * flattened(heights, groups, sizes(edges) if size is None else size, self.plan.flat)[:, None]
+        if self.bound is not None:
+            move = bounded(move, groups, edges.detach(), heights, self.bound)
+        return move, features, learned, heights
 
 
 class NeuralSubdivision(nn.Module):
