@@ -103,6 +103,7 @@ def main() -> None:
     if options.ship:
         result.model.card["sources"] = [*recipe["sources"], {"file": "experiments/analytic.py", "licence": "MIT"},
                                         {"file": "experiments/sources.py", "licence": "MIT"}]
+        result.model.card["note"] = recipe["note"]
         result.model.card["companions"] = {kind: name for kind, name in NAMES.items() if kind != options.input}
         ship(NAMES[options.input], origin["command"], DESCRIPTIONS[options.input], result)
 
