@@ -20,7 +20,7 @@ from neusub.topology import Topology
 
 __all__ = ["FlapGroups", "LevelFlaps", "gather_corners", "level_flaps", "pool", "sum_slots"]
 
-CHUNK = 1 << 15  # half-flaps at a time without gradients: their activations stay in the cache
+CHUNK = 1 << 20  # numbers of one layer at a time without gradients: they stay in the cache
 
 
 
@@ -37,13 +37,14 @@ class FlapGroups:
         """Row of (vertex, slot) in a table with four rows a vertex."""
         return self.corners * 4 + torch.arange(4, device=self.corners.device)
 
-    def chunks(self) -> Iterator[FlapGroups]:
-        """The groups in runs of about CHUNK half-flaps."""
+    def chunks(self, width: int = 32) -> Iterator[FlapGroups]:
+        """The groups in runs of half-flaps whose layers of that width have about CHUNK numbers."""
+        rows_at_once = CHUNK // width
         last = len(self.offsets) - 1
         a = 0
         while a < last:
             start = int(self.offsets[a])
-            b = int(torch.searchsorted(self.offsets, start + CHUNK, right=True)) - 1
+            b = int(torch.searchsorted(self.offsets, start + rows_at_once, right=True)) - 1
             b = min(max(b, a + 1), last)
             rows = slice(start, int(self.offsets[b]))
             missing = None if self.missing is None else self.missing[:, rows]

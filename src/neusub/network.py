@@ -76,7 +76,7 @@ class HalfFlapMLP(nn.Module):
             bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
             fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
             table = linear(table, fixed, bias).view(-1, len(self.first.bias))
-        parts = groups.chunks() if not torch.is_grad_enabled() else [groups]
+        parts = groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]
         results = [self._part(part, positions, table, vectors, heights, turned, learns) for part in parts]
         moves, features, vectors, heights = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
                                              for rows in zip(*results))
