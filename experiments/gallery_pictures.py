@@ -1,0 +1,180 @@
+"""The pictures of `gallery.py`, for docs/reproduction, in the paper's colours: the fine original green, the coarse mesh
+grey, what a network made blue; classical schemes in sand."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy import ndarray
+from PIL import Image
+
+import neusub
+from experiments.gallery import (
+    ARTISTS,
+    CAGE,
+    CAT,
+    COARSE,
+    DEFORMATIONS,
+    FEWER,
+    MODELS,
+    ROCKER,
+    SCHEMES,
+    SKULL,
+    artist_mesh,
+    baked,
+    decimated,
+    model,
+    percents,
+    refined,
+    textured_cage,
+    textured_fine,
+)
+from experiments.parameterization_pictures import SMALL, titled, write
+from neusub import Mesh, SelfParameterization
+from neusub.map_pictures import Surface, View, coloured_fine, edge_images, face_colors, levels_within, surface_picture
+from neusub.selfparam.parameterization import refinement
+
+GREEN, GREY, BLUE, SAND = (150, 200, 140), (214, 214, 214), (150, 190, 230), (232, 214, 180)
+FRONT, BACK, SIDE = (0.9, 0.45, 1.2), (0.9, 0.45, -1.2), (1.0, 0.3, 0.4)  # most shapes look along z, some along -z
+UP = (0, 1, 0)
+NAMES = {"loop": "Loop", **{name: name for name in ("butterfly", *MODELS)}}
+COLORS = {**dict.fromkeys(SCHEMES, SAND), **dict.fromkeys(MODELS, BLUE)}
+
+
+def draw_all(folder: Path) -> None:
+    for draw in (draw_teaser, draw_levels, draw_pairs, draw_map, draw_artists, draw_semantic, draw_texture,
+                 draw_cages):
+        print(draw(folder), flush=True)
+
+
+def shaded(mesh: Mesh, color: tuple, size: tuple[int, int], camera: tuple = FRONT, *, frame: Mesh | None = None,
+           edges: bool = False) -> ndarray:
+    """One panel; frame is the mesh that it is framed by, itself by default."""
+    colors = np.full(mesh.faces.shape, color, np.uint8)
+    return surface_picture(Surface(mesh.vertices, mesh.faces, colors), View(frame or mesh, size, camera, UP),
+                           wireframe=edges)
+
+
+def draw_teaser(folder: Path) -> Path:
+    """fig:teaser: reference and coarse mesh, then each method with its mean distance."""
+    pair, size = decimated(folder, ROCKER), (360, 230)
+    coarse = pair.on_surface
+    panels = [titled(shaded(pair.fine, GREEN, size), "reference"),
+              titled(shaded(coarse, GREY, size, frame=pair.fine, edges=True), f"coarse, {COARSE} vertices")]
+    for method in (*SCHEMES[1:], *MODELS):
+        result = refined(coarse, method)
+        title = f"{NAMES[method]}, M {percents(result, pair.fine)['M']:.3f} %"
+        panels.append(titled(shaded(result, COLORS[method], size, frame=pair.fine), title))
+    return write("teaser", [panels[:3], panels[3:]])
+
+
+def draw_levels(folder: Path) -> Path:
+    """fig:allLevels: the coarse mesh and three levels of a network, with edges."""
+    rows, size = [], (330, 270)
+    for name, method in ((ROCKER, "default"), (CAT, "elephant")):
+        pair = decimated(folder, name)
+        levels = model(method).subdivide(pair.on_surface, 3)[1:]
+        rows.append([shaded(pair.on_surface, GREY, size, frame=pair.fine, edges=True)])
+        rows[-1] += [shaded(mesh, BLUE, size, frame=pair.fine, edges=level == 0) for level, mesh in enumerate(levels)]
+        titles = (f"coarse, {COARSE} vertices", *(f"{method}, level {k}" for k in (1, 2, 3)))
+        rows[-1] = [titled(panel, title) for panel, title in zip(rows[-1], titles)]
+    return write("all_levels", rows)
+
+
+def draw_pairs(folder: Path) -> Path:
+    """fig:trainData, fig:manyShapes: one shape, random coarse meshes, and their targets on the surface."""
+    fine, size = neusub.load(folder / "organic" / "oded_hand_closed.ply"), (300, 330)
+    results = [neusub.decimate(fine, n_vertices=n, strategy="random", seed=n) for n in (150, 220, 300)]
+    top = [titled(shaded(fine, GREEN, size), "original"),
+           *(titled(shaded(r.coarse, GREY, size, frame=fine, edges=True), f"{len(r.decimated)} vertices")
+             for r in results)]
+    bottom = [titled(shaded(fine, GREEN, size, BACK), "from behind"),
+              *(titled(shaded(remeshed(r, 1), BLUE, size, frame=fine, edges=True), "target of level 1")
+                for r in results)]
+    return write("train_pairs", [top, bottom])
+
+
+def remeshed(result: SelfParameterization, level: int) -> Mesh:
+    """A refinement of the coarse mesh, every vertex at its place on the fine surface."""
+    return Mesh(result.transfer(result.fine.vertices, level),
+                refinement(result.faces, len(result.decimated), level).faces)
+
+
+def draw_map(folder: Path) -> Path:
+    """fig:SSS: the original, the coarse mesh, and the original in the colours of the faces of each level."""
+    result, size = decimated(folder, SKULL, 100), (400, 360)
+    view = View(result.fine, size, FRONT, UP)
+    coarse = Surface(result.decimated, result.faces, face_colors(result.faces, len(result.decimated)))
+    panels = [titled(shaded(result.fine, GREEN, size), f"original, {len(result.fine.faces):,} faces"),
+              titled(surface_picture(coarse, view, wireframe=True), f"decimated, {len(result.faces)} faces"),
+              titled(surface_picture(coloured_fine(result, coarse.colors, SMALL), view, edge_images(result)),
+                     "the original, by coarse face")]
+    panels += [titled(surface_picture(level_colored(result, level), view), f"by face of level {level}")
+               for level in (1, 2, 3)]
+    return write("map_levels", [panels[:3], panels[3:]])
+
+
+def level_colored(result: SelfParameterization, level: int) -> Surface:
+    """The fine surface, each face of a refinement in its colour; split further, to follow the surface."""
+    n = len(result.decimated)
+    colors = face_colors(refinement(result.faces, n, level).faces, refinement(result.faces, n, level).sizes[-1])
+    levels = max(level, levels_within(len(result.faces), SMALL))
+    parts = refinement(result.faces, n, levels)
+    points = result.points(*result.to_fine(parts.at, parts.barycentric))
+    return Surface(points, parts.faces, np.concatenate([colors] * 4 ** (levels - level)))
+
+
+def draw_artists(folder: Path) -> Path:
+    """fig:subdivScene: a contact sheet."""
+    size, meshes = (180, 165), [artist_mesh(folder, name) for name in ARTISTS]
+    rows = []
+    for method, title in {"coarse": "coarse", **NAMES}.items():
+        is_coarse = method == "coarse"
+        rows.append([titled(shaded(mesh if is_coarse else refined(mesh, method), COLORS.get(method, GREY), size,
+                                   frame=mesh, edges=is_coarse), "" if k else title) for k, mesh in enumerate(meshes)])
+    return write("artists", rows)
+
+
+def draw_semantic(folder: Path) -> Path:
+    """fig:lim_semantic: what the coarse mesh has lost stays lost."""
+    size, rows = (330, 330), [[], []]  # type: ignore[var-annotated]
+    whole = decimated(folder, SKULL).fine
+    for vertices in FEWER:
+        coarse = decimated(folder, SKULL, vertices).on_surface
+        rows[0].append(titled(shaded(coarse, GREY, size, frame=whole, edges=True), f"{vertices} vertices"))
+        rows[1].append(titled(shaded(refined(coarse, "default", 3), BLUE, size, frame=whole), "default, level 3"))
+    rows[0].append(titled(shaded(whole, GREEN, size), "the original"))
+    rows[1].append(titled(shaded(whole, GREEN, size, SIDE), "from the side"))
+    return write("semantic", rows)
+
+
+def draw_texture(folder: Path) -> Path:
+    """fig:texture: an artist's cage whose UVs come along, and a decimated mesh with a texture through the map."""
+    cage, fine = textured_cage(folder), textured_fine(folder)
+    pair = neusub.decimate(fine, n_vertices=COARSE, strategy="quadric")
+    image = fine.materials[0].textures[0][2]
+    top = [cage, refined(cage, "loop"), refined(cage, "default")]
+    bottom = [fine, baked(pair, image, "loop"), baked(pair, image, "default")]
+    titles = [["cage, 188 vertices", "Loop", "default"], ["original", "decimated, Loop", "decimated, default"]]
+    return write("texture", [[titled(photo(mesh, (400, 400), BACK), title) for mesh, title in zip(row, words)]
+                             for row, words in zip((top, bottom), titles)])
+
+
+def photo(mesh: Mesh, size: tuple[int, int], camera: Sequence[float]) -> ndarray:
+    """A panel with the mesh's texture."""
+    with TemporaryDirectory() as place:
+        path = neusub.render(mesh, Path(place) / "panel.png", panel=(2 * size[0], 2 * size[1]), camera=tuple(camera))
+        return np.asarray(Image.open(path).convert("RGB").reduce(2))
+
+
+def draw_cages(folder: Path) -> Path:
+    """fig:modeling: a cage and three deformed ones, and what the default network makes of them."""
+    cage, size, rows = artist_mesh(folder, CAGE), (320, 320), [[], []]  # type: ignore[var-annotated]
+    for title, deform in {"the cage": None, **DEFORMATIONS}.items():
+        mesh = cage if deform is None else cage.replace_vertices(deform(cage.vertices))
+        rows[0].append(titled(shaded(mesh, GREY, size, edges=True), title))
+        rows[1].append(titled(shaded(refined(mesh, "default"), BLUE, size, frame=mesh), "default, level 2"))
+    return write("modeling", rows)

@@ -1,0 +1,291 @@
+"""Networks that the package does not have, and a training for them: what the experiments compare the paper's with.
+
+A variant is the paper's network with some of its modules replaced; a loss of its own is a `Batch` with another `loss`.
+`fit` is the loop of `neusub.train` without its files: for the paper's network both give the same numbers, bit for bit.
+"""
+
+from __future__ import annotations
+
+import copy
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+from numpy import ndarray
+from PIL import Image
+from torch import Tensor, nn
+
+from neusub import Mesh, TrainingConfig
+from neusub.configuration import Architecture
+from neusub.flaps import FlapGroups, gather_corners, pool
+from neusub.frames import edge_vectors, in_frames, local_frames, sizes
+from neusub.generation import Batch, Pair
+from neusub.map_pictures import Surface, View, surface_picture
+from neusub.network import HalfFlapMLP, NeuralSubdivision, Values
+from neusub.training import epoch_order, set_rate
+
+CLAY = (223, 227, 234)
+
+# --- modules -----------------------------------------------------------------------------------------------------
+
+
+class EdgesOnly(HalfFlapMLP):
+    """Module I without differential coordinates."""
+
+    def __init__(self, plan: Architecture, features: int, vectors: int):
+        super().__init__(plan, features, 0)
+
+    def forward(self, groups, positions, values, heights=None, learns=True):
+        return super().forward(groups, positions, Values(None, None), heights, learns)
+
+
+class Repeated(HalfFlapMLP):
+    """A module that is applied several times, each time to the positions and features that it gave before."""
+
+    def __init__(self, plan: Architecture, features: int, vectors: int, steps: int = 2):
+        super().__init__(plan, features, vectors)
+        self.steps = steps
+
+    def forward(self, groups, positions, values, heights=None, learns=True):
+        moved = positions
+        for _ in range(self.steps):
+            move, values, heights = super().forward(groups, moved, values, heights, learns)
+            moved = moved + move
+        return moved - positions if self.steps > 1 else move, values, heights
+
+
+class VerticesFromLoop(HalfFlapMLP):
+    """Displacements of old vertices from where Loop's rule takes them; for closed meshes."""
+
+    def forward(self, groups, positions, values, heights=None, learns=True):
+        move, values, heights = super().forward(groups, positions, values, heights, learns)
+        valence = groups.offsets.diff()[:, None].to(positions.dtype)
+        to_mean = pool(groups, edge_vectors(groups, positions)[0].T.contiguous()) / valence
+        share = 5 / 8 - (3 / 8 + torch.cos(2 * torch.pi / valence) / 4).square()
+        return move + share * to_mean, values, heights
+
+
+class EdgesFromLoop(HalfFlapMLP):
+    """Displacements of new vertices from where Loop's rule puts them (3/8, 3/8, 1/8, 1/8) instead of the midpoint."""
+
+    def forward(self, groups, positions, values, heights=None, learns=True):
+        move, values, heights = super().forward(groups, positions, values, heights, learns)
+        along, left, right = edge_vectors(groups, positions)
+        return move + pool(groups, ((left + right - along) / 8).T.contiguous()) / 2, values, heights
+
+
+class Plain(HalfFlapMLP):
+    """A module that sees `seen` of each half-flap beside its corners' features, written without the fast first layer.
+
+    As it stands it has the paper's inputs: vectors in the half-flap's frame.
+    """
+
+    turns = True  # displacements are in the half-flap's frame
+    scales = False  # and in units of its mean edge
+    columns = 9  # of `seen`, without the vectors of the corners
+
+    def __init__(self, plan: Architecture, features: int, vectors: int):
+        super().__init__(plan, features, vectors)
+        self.first = nn.Linear(self.columns + 4 * features + 12 * self.vectors, plan.width)
+        nn.init.xavier_normal_(self.first.weight)
+        nn.init.zeros_(self.first.bias)
+
+    def seen(self, groups: FlapGroups, edges: Tensor, axes: Tensor, positions: Tensor,
+             vectors: Tensor | None) -> Tensor:
+        """Rows of half-flaps: edge vectors, then the vectors of the four corners."""
+        if vectors is not None:
+            edges = torch.cat([edges, gather_corners(groups, vectors)])
+        return in_frames(edges, axes).T
+
+    def forward(self, groups, positions, values, heights=None, learns=True):
+        edges = edge_vectors(groups, positions)
+        axes = local_frames(edges)[0]
+        rows = self.seen(groups, edges, axes, positions, values.vectors)
+        if values.features is not None:
+            rows = torch.cat([rows, gather_corners(groups, values.features).flatten(0, 1).T], dim=1)
+        hidden = torch.relu(self.hidden(torch.relu(self.first(rows))))
+        out = self.last(hidden)
+        move, features = out[:, :3], out[:, 3:]
+        if self.scales:
+            move = move * sizes(edges)[:, None]
+        if self.turns:
+            move = in_frames(move.T[None].contiguous(), axes.transpose(0, 1)).T
+        count = groups.offsets.diff().to(out.dtype)[:, None]
+        means = [pool(groups, part.contiguous()) / count for part in (move, features)]
+        return means[0], Values(means[1] if learns else None, None), None
+
+
+class WorldAxes(Plain):
+    """Inputs and displacements along the world's axes."""
+
+    turns = False
+
+    def seen(self, groups, edges, axes, positions, vectors):
+        if vectors is not None:
+            edges = torch.cat([edges, gather_corners(groups, vectors)])
+        return edges.flatten(0, 1).T
+
+
+class WorldPositions(WorldAxes):
+    """Along the world's axes, and with the position of the half-flap's origin."""
+
+    columns = 12
+
+    def seen(self, groups, edges, axes, positions, vectors):
+        origin = gather_corners(groups, positions)[0].T
+        return torch.cat([origin, super().seen(groups, edges, axes, positions, vectors)], dim=1)
+
+
+class MeshCNN(Plain):
+    """The inputs of Hanocka et al. 2019: dihedral angle, two inner angles, two ratios of height to edge.
+
+    Theirs are of an edge without direction and sorted; a half-flap knows its left from its right, and the dihedral
+    angle has a sign here, so these say a little more.
+    """
+
+    columns = 5
+
+    def __init__(self, plan: Architecture, features: int, vectors: int):
+        super().__init__(plan, features, 0)
+
+    def seen(self, groups, edges, axes, positions, vectors):
+        along, left, right = edges
+        normals = torch.linalg.cross(torch.stack([along, right]), torch.stack([left, along]), dim=1)
+        areas = normals.norm(dim=1)  # twice the triangles'
+        sine = (torch.linalg.cross(normals[0], normals[1], dim=0) * axes[0]).sum(0)
+        dihedral = torch.atan2(sine, (normals[0] * normals[1]).sum(0))
+        apexes = torch.stack([left, right])
+        inner = torch.atan2(areas, (apexes * (apexes - along)).sum(1))
+        ratios = areas / along.square().sum(0).clamp(min=1e-12)
+        return torch.cat([dihedral[None], inner, ratios]).T
+
+
+class ScaledMeshCNN(MeshCNN):
+    """The same with displacements in units of the half-flap's mean edge: those inputs say nothing about lengths."""
+
+    scales = True
+
+
+# --- networks ----------------------------------------------------------------------------------------------------
+
+
+def network(**modules: Callable[..., HalfFlapMLP]) -> NeuralSubdivision:
+    """The paper's network with some modules replaced; a module of the same sizes starts from the same weights."""
+    made = NeuralSubdivision()
+    for name, make in modules.items():
+        old = getattr(made, name)
+        new = make(old.plan, old.features, old.vectors)
+        if new.first.weight.shape == old.first.weight.shape:
+            new.load_state_dict(old.state_dict())
+        setattr(made, name, new)
+    return made
+
+
+def everywhere(kind: Callable[..., HalfFlapMLP]) -> NeuralSubdivision:
+    return network(initial=kind, vertex=kind, edge=kind)
+
+
+NETWORKS: dict[str, Callable[[], NeuralSubdivision]] = {
+    "paper": network,
+    "no differential coordinates": partial(network, initial=EdgesOnly),
+    "from Loop": partial(network, vertex=VerticesFromLoop, edge=EdgesFromLoop),
+    "2 vertex steps": partial(network, vertex=partial(Repeated, steps=2)),
+    "3 vertex steps": partial(network, vertex=partial(Repeated, steps=3)),
+    "MeshCNN features": partial(everywhere, MeshCNN),
+    "MeshCNN features, relative": partial(everywhere, ScaledMeshCNN),
+    "relative lengths": partial(NeuralSubdivision, Architecture(relative=True)),
+    "world axes": partial(everywhere, WorldAxes),
+    "world positions": partial(everywhere, WorldPositions),
+}
+
+
+# --- training ----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Fit:
+    """A training: the network of the best epoch, and what each epoch ended with."""
+
+    network: NeuralSubdivision
+    losses: ndarray  # (epochs,) validation loss, the one that is trained
+    errors: ndarray  # (epochs, levels + 1) mean squared coordinate error of each level to the targets
+    seconds: float  # of the processor
+
+    @property
+    def best_epoch(self) -> int:
+        return int(self.losses.argmin()) + 1
+
+
+def level_errors(batch: Batch, outputs: Sequence[Tensor]) -> list[Tensor]:
+    """Of each level, the mean squared coordinate error to the targets: the terms of the paper's loss."""
+    return [((out - batch.targets[: len(out)]).square() * weight).sum() for out, weight in zip(outputs, batch.weights)]
+
+
+class LastLevel(Batch):
+    """A batch whose loss is the last level's error."""
+
+    def loss(self, outputs: list[Tensor], kind: str = "squared") -> Tensor:
+        return level_errors(self, outputs)[-1]
+
+
+def fit(build: Callable[[], NeuralSubdivision], train: Sequence[Batch], validation: Sequence[Batch],
+        config: TrainingConfig) -> Fit:
+    """Train on one batch a step, in the order of `neusub.train`."""
+    torch.set_num_threads(config.threads or torch.get_num_threads())
+    torch.manual_seed(config.seed)
+    model = build()
+    adam = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
+    losses, errors, best = [], [], copy.deepcopy(model.state_dict())
+    began = time.process_time()
+    for epoch in range(config.epochs):
+        set_rate(adam, config, epoch)
+        for k in epoch_order(len(train), config.seed, epoch):
+            adam.zero_grad(set_to_none=True)
+            train[k].loss(model(train[k].positions, train[k].levels)).backward()
+            adam.step()
+        loss, levels = validated(model, validation)
+        if loss < min(losses, default=np.inf):
+            best = copy.deepcopy(model.state_dict())
+        losses.append(loss)
+        errors.append(levels)
+    model.load_state_dict(best)
+    return Fit(model.eval().requires_grad_(False), np.array(losses), np.array(errors), time.process_time() - began)
+
+
+def validated(model: NeuralSubdivision, batches: Sequence[Batch]) -> tuple[float, ndarray]:
+    """Means over the batches: the loss, and the error of each level."""
+    losses, errors = [], []
+    with torch.no_grad():
+        for batch in batches:
+            outputs = model(batch.positions, batch.levels)
+            losses.append(float(batch.loss(outputs)))
+            errors.append([float(error) for error in level_errors(batch, outputs)])
+    return float(np.mean(losses)), np.mean(errors, axis=0)
+
+
+# --- meshes ------------------------------------------------------------------------------------------------------
+
+
+def refined(model: NeuralSubdivision, pair: Pair, positions: Tensor, batch: Batch) -> list[Mesh]:
+    """The levels that a network makes of a pair's coarse mesh, placed at `positions`."""
+    from neusub.topology import topology_levels
+
+    topologies, last = topology_levels(pair.faces, pair.level_sizes[0], pair.levels)
+    with torch.no_grad():
+        outputs = model(positions, batch.levels)
+    faces = [*(topology.faces for topology in topologies), last]
+    return [Mesh(out.double().numpy(), f) for out, f in zip(outputs, faces)]
+
+
+def panel(mesh: Mesh, view: View, colors: ndarray | None = None, wireframe: bool = True) -> ndarray:
+    """A picture of a mesh in clay, or in the colours of its faces."""
+    painted = np.full(mesh.faces.shape, CLAY, np.uint8) if colors is None else colors
+    return surface_picture(Surface(mesh.vertices, mesh.faces, painted), view, wireframe=wireframe)
+
+
+def shrunk(image: Image.Image) -> Image.Image:
+    """In few colours, for a small file."""
+    return image.convert("RGB").quantize(256, kmeans=1, dither=Image.Dither.NONE)
