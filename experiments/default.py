@@ -83,6 +83,16 @@ def closed_form_file(recipe: dict, folder: Path) -> Path:
     return path
 
 
+def card_of(card: dict, recipe: dict, kind: str) -> dict:
+    """A run's card with where its pairs come from: 16 sources instead of 256 pair files."""
+    made = [{"file": f"experiments/{file}", "licence": "MIT"} for file in ("sources.py", "analytic.py")]
+    training = {key: value for key, value in card["training"].items() if key != "data"}
+    training["pairs"] = sum(entry["count"] for entry in card["training"]["data"] if entry.get("split") == "train")
+    sources = [*recipe["sources"], *(made if kind == "on_surface" else made[:1])]
+    return {**card, "training": training, "sources": sources,
+            "note": recipe["note"], "companions": {other: name for other, name in NAMES.items() if other != kind}}
+
+
 def main() -> None:
     parser = parser_of("experiments default", __doc__)
     parser.add_argument("meshes", type=Path)
@@ -101,10 +111,7 @@ def main() -> None:
     origin = provenance(options)
     write_results(f"default-{options.input}", {**origin, **training_scores(result)})
     if options.ship:
-        result.model.card["sources"] = [*recipe["sources"], {"file": "experiments/analytic.py", "licence": "MIT"},
-                                        {"file": "experiments/sources.py", "licence": "MIT"}]
-        result.model.card["note"] = recipe["note"]
-        result.model.card["companions"] = {kind: name for kind, name in NAMES.items() if kind != options.input}
+        result.model.card = card_of(result.model.card, recipe, options.input)
         ship(NAMES[options.input], origin["command"], DESCRIPTIONS[options.input], result)
 
 
