@@ -8,6 +8,7 @@ import platform
 import subprocess
 import sys
 from collections.abc import Iterable
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -55,6 +56,23 @@ def write_results(name: str, numbers: dict) -> Path:
     path.write_text(json.dumps(numbers, indent=2) + "\n")
     print(f"{path}")
     return path
+
+
+SCHEMES = ("midpoint", "loop", "butterfly")
+
+
+@cache
+def loaded(model: str) -> neusub.Subdivider:
+    return neusub.Subdivider.load(model)
+
+
+def refined(mesh: neusub.Mesh, method: str, levels: int, kind: str = "on_surface") -> list[neusub.Mesh]:
+    """Levels of a scheme or of a shipped model, which is told the kind of input where its card names weights for it."""
+    if method in SCHEMES:
+        return neusub.subdivide(mesh, method, levels)  # type: ignore[arg-type]
+    model = loaded(method)
+    given = kind if kind in model.card.get("companions", {}) else None
+    return model.subdivide(mesh, levels, input=given)  # type: ignore[arg-type]
 
 
 def training_scores(result: TrainingResult) -> dict:

@@ -90,7 +90,7 @@ def card_of(card: dict, recipe: dict, kind: str) -> dict:
     training["pairs"] = sum(entry["count"] for entry in card["training"]["data"] if entry.get("split") == "train")
     sources = [*recipe["sources"], *(made if kind == "on_surface" else made[:1])]
     return {**card, "training": training, "sources": sources,
-            "note": recipe["note"], "companions": {other: name for other, name in NAMES.items() if other != kind}}
+            "companions": {other: name for other, name in NAMES.items() if other != kind}}
 
 
 def main() -> None:

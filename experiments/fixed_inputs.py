@@ -12,19 +12,19 @@ from pathlib import Path
 
 import numpy as np
 
-import neusub
-from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, score, write_results
+from experiments.common import (
+    SCHEMES,
+    TOSCA,
+    fixed_inputs,
+    fixed_reference,
+    parser_of,
+    provenance,
+    refined,
+    score,
+    write_results,
+)
 
-KINDS, SEEDS = ("on_surface", "decimated"), range(5)
-SCHEMES, MODELS = ("midpoint", "loop", "butterfly"), ("elephant", "default")
-
-
-def refined(mesh: neusub.Mesh, method: str, kind: str) -> neusub.Mesh:
-    if method in SCHEMES:
-        return neusub.subdivide(mesh, method, 2)[-1]  # type: ignore[arg-type]
-    model = neusub.Subdivider.load(method)
-    given = kind if kind in model.card.get("companions", {}) else None
-    return model.subdivide(mesh, 2, input=given)[-1]  # type: ignore[arg-type]
+KINDS, SEEDS, MODELS = ("on_surface", "decimated"), range(5), ("elephant", "default")
 
 
 def main() -> None:
@@ -37,7 +37,7 @@ def main() -> None:
         meshes = fixed_inputs(options.inputs, kind)
         references = {name: fixed_reference(options.tosca, name) for name in meshes}
         for method in (*SCHEMES, *MODELS):
-            shapes = {name: dict(zip("HM", score(refined(mesh, method, kind), references[name], SEEDS)))
+            shapes = {name: dict(zip("HM", score(refined(mesh, method, 2, kind)[-1], references[name], SEEDS)))
                       for name, mesh in meshes.items()}
             means = {key: float(np.mean([row[key] for row in shapes.values()])) for key in "HM"}
             table.setdefault(kind, {})[method] = {**means, "shapes": shapes}

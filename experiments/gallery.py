@@ -19,14 +19,15 @@ import numpy as np
 from numpy import ndarray
 
 import neusub
-from experiments.common import provenance, write_results
+from experiments import common
+from experiments.common import SCHEMES, provenance, write_results
 from experiments.smoothness import FOLD, angles
 from neusub import Mesh, SelfParameterization
 from neusub.metrics import point_distance, sample_surface
 
 SHOWS = ("fig:teaser", "fig:allLevels", "fig:trainData", "fig:manyShapes", "fig:SSS", "fig:subdivScene",
          "fig:lim_semantic", "fig:texture", "fig:modeling")
-SCHEMES, MODELS = ("midpoint", "loop", "butterfly"), ("elephant", "default")
+MODELS = ("elephant", "default")
 METHODS, KINDS = (*SCHEMES, *MODELS), ("on_surface", "decimated")
 COARSE, LEVELS = 350, 2
 FEWER = (75, 150, 350)
@@ -44,20 +45,12 @@ CAGE = "oded_spot_control_mesh"
 
 
 @cache
-def model(name: str) -> neusub.Subdivider:
-    return neusub.Subdivider.load(name)
-
-
-@cache
 def decimated(folder: Path, name: str, vertices: int = COARSE) -> SelfParameterization:
     return neusub.decimate(neusub.load(folder / name), n_vertices=vertices, strategy="quadric")
 
 
 def refined(mesh: Mesh, method: str, levels: int = LEVELS, kind: str = "on_surface") -> Mesh:
-    if method in SCHEMES:
-        return neusub.subdivide(mesh, method, levels)[-1]  # type: ignore[arg-type]
-    given = kind if kind in model(method).card.get("companions", {}) else None
-    return model(method).subdivide(mesh, levels, input=given)[-1]  # type: ignore[arg-type]
+    return common.refined(mesh, method, levels, kind)[-1]
 
 
 def percents(result: Mesh, reference: Mesh) -> dict[str, float]:
@@ -88,7 +81,7 @@ def all_levels(folder: Path) -> dict:
     for name in (ROCKER, CAT):
         pair = decimated(folder, name)
         for method in MODELS:
-            levels = model(method).subdivide(pair.on_surface, 3)
+            levels = common.refined(pair.on_surface, method, 3)
             rows.setdefault(Path(name).stem, {})[method] = {
                 "coarse": percents(pair.on_surface, pair.fine),
                 **{f"level {k}": percents(mesh, pair.fine) for k, mesh in enumerate(levels)}}

@@ -12,6 +12,8 @@ from numpy import ndarray
 from PIL import Image
 
 import neusub
+from experiments import common
+from experiments.common import SCHEMES
 from experiments.gallery import (
     ARTISTS,
     CAGE,
@@ -21,12 +23,10 @@ from experiments.gallery import (
     FEWER,
     MODELS,
     ROCKER,
-    SCHEMES,
     SKULL,
     artist_mesh,
     baked,
     decimated,
-    model,
     percents,
     refined,
     textured_cage,
@@ -76,7 +76,7 @@ def draw_levels(folder: Path) -> Path:
     rows, size = [], (330, 270)
     for name, method in ((ROCKER, "default"), (CAT, "elephant")):
         pair = decimated(folder, name)
-        levels = model(method).subdivide(pair.on_surface, 3)[1:]
+        levels = common.refined(pair.on_surface, method, 3)[1:]
         rows.append([shaded(pair.on_surface, GREY, size, frame=pair.fine, edges=True)])
         rows[-1] += [shaded(mesh, BLUE, size, frame=pair.fine, edges=level == 0) for level, mesh in enumerate(levels)]
         titles = (f"coarse, {COARSE} vertices", *(f"{method}, level {k}" for k in (1, 2, 3)))

@@ -21,19 +21,12 @@ from pathlib import Path
 import numpy as np
 
 import neusub
-from experiments.common import HERE, parser_of, provenance, write_results
+from experiments.common import HERE, SCHEMES, parser_of, provenance, refined, write_results
 from neusub.creases import crease_edges
 
 SIZE, LEVELS = 500, 2
-METHODS = ("midpoint", "loop", "butterfly", "elephant", "default")
+METHODS = (*SCHEMES, "elephant", "default")
 SHARP, STRAIGHT, KEPT = 40.0, 0.5, 1.0  # degrees
-
-
-def refined(mesh: neusub.Mesh, method: str, kind: str) -> list[neusub.Mesh]:
-    if method in ("midpoint", "loop", "butterfly"):
-        return neusub.subdivide(mesh, method, LEVELS)  # type: ignore[arg-type]
-    model = neusub.Subdivider.load(method)
-    return model.subdivide(mesh, LEVELS, input=kind if kind in model.card.get("companions", {}) else None)  # type: ignore[arg-type]
 
 
 def along_edges(levels: list[neusub.Mesh]) -> np.ndarray:
@@ -68,7 +61,7 @@ def rows_of(result: neusub.SelfParameterization) -> dict:
     mesh, rows = result.fine, {}
     for kind, coarse in (("on_surface", result.on_surface), ("decimated", result.coarse)):
         for method in METHODS:
-            levels = refined(coarse, method, kind)
+            levels = refined(coarse, method, LEVELS, kind)
             d = neusub.distance(levels[-1], mesh)
             row = {"M": d.percent(d.mean), "normal": d.normal_angle}
             if kind == "on_surface":

@@ -42,7 +42,7 @@ def bounded(
 
     Weights that never saw a thin triangle or a short edge would displace by more than the edge and fold the surface; on
     a flat patch they leave a ripple.  Networks that are trained within wide bounds lose nothing by tighter ones in use:
-    `default` keeps its mean distance on TOSCA from (0.5, 0.6) to (0.25, 0.6), and folds four times less on the ant.
+    `docs/research.md` has the numbers.
     """
     e1, e2, e3 = edges
     squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).amin(0)
