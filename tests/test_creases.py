@@ -1,4 +1,4 @@
-"""Creases of the network: cut open, refined side by side, and closed again."""
+"""Creases: the schemes' rules along them, and the network, whose mesh is cut along them."""
 
 from __future__ import annotations
 
@@ -8,10 +8,11 @@ import torch
 
 import neusub
 import shapes
-from neusub import Mesh
-from neusub.creases import crease_edges, crease_mask, cut_open
+from neusub import Mesh, schemes
+from neusub.creases import crease_edges, crease_mask, cut_open, refine_creases
 from neusub.metrics import face_normals
 from neusub.topology import build_topology, connected_components
+from patches import ROUNDING, bipyramid, cube, edge_index, edge_row, fan, lattice, nonzero, refined
 
 
 @pytest.fixture(scope="module")
@@ -105,3 +106,68 @@ def test_creases_survive_the_levels_of_loop(model):
     radius = np.hypot(*fine.vertices[top, :2].T)
     assert radius.max() > 0.95
     assert top.sum() == 1 + 10 * sum(range(1, 9))  # all of the cap, and it is flat
+
+
+# ---- the schemes' rules -----------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("scheme", ["loop", "butterfly"])
+def test_a_cube_with_sharp_edges_stays_a_cube(scheme):
+    vertices, faces = cube()
+    topology = build_topology(faces, 8)
+    creases = crease_edges(topology, vertices, 30)
+    assert creases.sum() == 12
+    fine = schemes.subdivision_operator(topology, scheme, 3, creases=creases).apply(vertices)[-1]
+    np.testing.assert_array_equal(fine[:8], vertices)
+    np.testing.assert_allclose(np.abs(fine).max(axis=1), 0.5, atol=ROUNDING)
+
+
+@pytest.mark.parametrize("scheme", ["loop", "butterfly"])
+def test_a_crease_depends_on_itself_only(scheme):
+    vertices, faces = refined(*bipyramid(6))
+    topology = build_topology(faces, len(vertices))
+    equator = np.abs(vertices[:, 2]) < 1e-9
+    creases = equator[topology.edges].all(axis=1)
+    matrix = schemes.subdivision_matrix(topology, scheme, creases=creases).toarray()
+    on_crease = np.concatenate([equator, creases])
+    assert not matrix[np.ix_(on_crease, ~equator)].any()
+    fine = refine_creases(topology, creases)
+    assert fine.sum() == 2 * creases.sum()
+    # Each side is computed as if the other were not there.
+    upper = vertices[:, 2] > 1e-9
+    above = upper[topology.edges].any(axis=1)
+    lower = vertices[:, 2] < -1e-9
+    if scheme == "butterfly":
+        assert not matrix[np.ix_(np.concatenate([upper, above]), lower)].any()
+
+
+def test_a_dart_is_smooth_and_a_corner_stays():
+    vertices, faces = lattice(7, 7)
+    topology = build_topology(faces, 49)
+    dart = [[23, 24]]  # one crease: its ends are darts
+    plain = schemes.subdivision_matrix(topology, "loop").toarray()
+    with_dart = schemes.subdivision_matrix(topology, "loop", creases=np.array(dart)).toarray()
+    np.testing.assert_array_equal(plain, with_dart)
+    assert edge_row(vertices, faces, "butterfly", 23, 24, creases=np.array(dart)) == {23: 1 / 2, 24: 1 / 2}
+    three = np.array([[24, 23], [24, 25], [24, 31]])
+    corner = schemes.subdivision_matrix(topology, "loop", creases=three).toarray()
+    assert nonzero(corner[24]) == {24: 1}
+    assert edge_row(vertices, faces, "butterfly", 24, 25, creases=three) == {24: 1 / 2, 25: 1 / 2}
+    straight = np.array([[23, 24], [24, 25]])
+    curve = schemes.subdivision_matrix(topology, "loop", creases=straight).toarray()
+    assert nonzero(curve[24]) == {23: 1 / 8, 24: 6 / 8, 25: 1 / 8}
+    # A dart ends the curve: the one-sided rule.
+    row = edge_row(vertices, faces, "butterfly", 23, 24, creases=straight)
+    assert row == {23: 3 / 8, 24: 6 / 8, 25: -1 / 8}
+
+
+def test_creases_by_mask_index_and_pair_are_the_same():
+    topology = build_topology(fan(5)[1], 6)
+    index = np.array([edge_index(topology, 0, 3), edge_index(topology, 0, 5)])
+    mask = np.zeros(len(topology.edges), dtype=bool)
+    mask[index] = True
+    for creases in (mask, index, np.array([[3, 0], [0, 5]])):
+        np.testing.assert_array_equal(crease_mask(topology, creases), mask)
+    for wrong in (np.array([[1, 3]]), np.array([99]), np.array([[0, 99]]), mask[:-1]):
+        with pytest.raises(ValueError, match="crease"):
+            crease_mask(topology, wrong)

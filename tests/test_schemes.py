@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import igl
 import numpy as np
@@ -13,108 +12,30 @@ import pyvista as pv
 from scipy.spatial import cKDTree
 
 from neusub import schemes
-from neusub.creases import crease_edges, crease_mask, refine_creases
+from neusub.creases import refine_creases
 from neusub.topology import Topology, build_topology, refine_faces
-
-SCHEMES = ["midpoint", "loop", "butterfly"]
-ROUNDING = 1e-12  # float64 sums of a few terms of size one
-
-
-# ---- shapes -----------------------------------------------------------------------------------------------------
-
-
-def bipyramid(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Closed; two apexes of valence n, n vertices of valence 4."""
-    angle = 2 * np.pi / n * np.arange(n)
-    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    vertices = np.concatenate([ring, [[0, 0, 1], [0, 0, -1]]])
-    i, j = np.arange(n), (np.arange(n) + 1) % n
-    faces = np.concatenate([np.stack([i, j, i * 0 + n], axis=1), np.stack([j, i, i * 0 + n + 1], axis=1)])
-    return vertices, faces
-
-
-def fan(n: int) -> tuple[np.ndarray, np.ndarray]:
-    """Flat n-gon; vertex 0 in the middle has valence n."""
-    vertices, faces = bipyramid(n)
-    vertices = np.concatenate([[[0, 0, 0]], vertices[:n]])
-    return vertices, (faces[:n] + 1) % (n + 1)
-
-
-def half_fan(k: int) -> tuple[np.ndarray, np.ndarray]:
-    """Flat half-disk; vertex 0 lies on the straight boundary and has k faces."""
-    angle = np.pi / k * np.arange(k + 1)
-    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
-    i = np.arange(1, k + 1)
-    return np.concatenate([[[0, 0, 0]], ring]), np.stack([i * 0, i, i + 1], axis=1)
-
-
-def lattice(columns: int, rows: int) -> tuple[np.ndarray, np.ndarray]:
-    """Equilateral triangles in a parallelogram; vertex (i, j) has index j * columns + i."""
-    j, i = (a.reshape(-1) for a in np.mgrid[:rows, :columns])
-    vertices = np.stack([i + j / 2, j * np.sqrt(3) / 2, 0.0 * i], axis=1)
-    a = (j * columns + i)[(i < columns - 1) & (j < rows - 1)]
-    lower = np.stack([a, a + 1, a + columns], axis=1)
-    upper = np.stack([a + 1, a + columns + 1, a + columns], axis=1)
-    return vertices, np.concatenate([lower, upper])
-
-
-def cube() -> tuple[np.ndarray, np.ndarray]:
-    solid = pv.Cube().triangulate().clean()
-    return np.asarray(solid.points, dtype=np.float64), np.asarray(solid.regular_faces, dtype=np.int64)
-
-
-def icosahedron() -> tuple[np.ndarray, np.ndarray]:
-    solid = pv.Icosahedron()
-    return np.asarray(solid.points, dtype=np.float64), np.asarray(solid.regular_faces, dtype=np.int64)
-
-
-def refined(vertices: np.ndarray, faces: np.ndarray, levels: int = 1) -> tuple[np.ndarray, np.ndarray]:
-    operator = schemes.subdivision_operator(build_topology(faces, len(vertices)), "midpoint", levels)
-    return operator.apply(vertices)[-1], operator.faces[-1]
-
-
-def noisy(vertices: np.ndarray, amount: float = 0.05) -> np.ndarray:
-    return vertices + amount * np.random.default_rng(0).normal(size=vertices.shape)
-
-
-CLOSED = {"cube": cube(), "icosahedron": icosahedron()} | {f"bipyramid{n}": bipyramid(n) for n in range(3, 9)}
-CLOSED |= {f"fine bipyramid{n}": refined(*bipyramid(n), 2) for n in (3, 5, 7, 8)}
-OPEN = {"lattice": lattice(5, 4), "triangle": fan(3), "strip": lattice(6, 2)}
-OPEN |= {f"fan{n}": refined(*fan(n)) for n in (3, 4, 5, 7)} | {f"half fan{k}": refined(*half_fan(k)) for k in (1, 4, 6)}
-SHAPES = CLOSED | OPEN
-
-closed = pytest.mark.parametrize("vertices, faces", CLOSED.values(), ids=CLOSED.keys())
-shapes = pytest.mark.parametrize("vertices, faces", SHAPES.values(), ids=SHAPES.keys())
-each_scheme = pytest.mark.parametrize("scheme", SCHEMES)
-
-
-def edge_index(topology: Topology, a: int, b: int) -> int:
-    return int(np.flatnonzero((topology.edges == sorted((a, b))).all(axis=1))[0])
-
-
-def edge_row(vertices: np.ndarray, faces: np.ndarray, scheme: str, a: int, b: int, **options: Any) -> dict[int, float]:
-    topology = build_topology(faces, len(vertices))
-    matrix = schemes.subdivision_matrix(topology, scheme, **options).toarray()
-    return nonzero(matrix[len(vertices) + edge_index(topology, a, b)])
-
-
-def nonzero(row: np.ndarray) -> dict[int, float]:
-    return {int(i): float(row[i]) for i in np.flatnonzero(np.abs(row) > 1e-14)}
-
-
-def some_creases(topology: Topology) -> np.ndarray:
-    return np.random.default_rng(1).random(len(topology.edges)) < 0.2
-
-
-def distance_between_sets(a: np.ndarray, b: np.ndarray) -> float:
-    assert a.shape == b.shape
-    return max(cKDTree(a).query(b)[0].max(), cKDTree(b).query(a)[0].max())
-
+from patches import (
+    OPEN,
+    ROUNDING,
+    bipyramid,
+    cube,
+    each_closed,
+    each_scheme,
+    each_shape,
+    edge_row,
+    fan,
+    half_fan,
+    icosahedron,
+    lattice,
+    noisy,
+    refined,
+    some_creases,
+)
 
 # ---- truths -----------------------------------------------------------------------------------------------------
 
 
-@shapes
+@each_shape
 @each_scheme
 @pytest.mark.parametrize("with_creases", [False, True])
 def test_rows_sum_to_one_so_affine_maps_commute(vertices, faces, scheme, with_creases):
@@ -149,7 +70,7 @@ def test_flat_stays_flat(vertices, faces, scheme):
     assert np.abs(operator.apply(vertices)[-1][:, 2]).max() < ROUNDING
 
 
-@shapes
+@each_shape
 @each_scheme
 @pytest.mark.parametrize("with_creases", [False, True])
 def test_renumbering_and_mirroring_change_nothing(vertices, faces, scheme, with_creases):
@@ -289,116 +210,6 @@ def test_butterfly_is_the_modified_one():
     np.testing.assert_allclose(radius[12:], 0.968, atol=5e-4)
 
 
-# ---- creases ----------------------------------------------------------------------------------------------------
-
-
-@pytest.mark.parametrize("scheme", ["loop", "butterfly"])
-def test_a_cube_with_sharp_edges_stays_a_cube(scheme):
-    vertices, faces = cube()
-    topology = build_topology(faces, 8)
-    creases = crease_edges(topology, vertices, 30)
-    assert creases.sum() == 12
-    fine = schemes.subdivision_operator(topology, scheme, 3, creases=creases).apply(vertices)[-1]
-    np.testing.assert_array_equal(fine[:8], vertices)
-    np.testing.assert_allclose(np.abs(fine).max(axis=1), 0.5, atol=ROUNDING)
-
-
-@pytest.mark.parametrize("scheme", ["loop", "butterfly"])
-def test_a_crease_depends_on_itself_only(scheme):
-    vertices, faces = refined(*bipyramid(6))
-    topology = build_topology(faces, len(vertices))
-    equator = np.abs(vertices[:, 2]) < 1e-9
-    creases = equator[topology.edges].all(axis=1)
-    matrix = schemes.subdivision_matrix(topology, scheme, creases=creases).toarray()
-    on_crease = np.concatenate([equator, creases])
-    assert not matrix[np.ix_(on_crease, ~equator)].any()
-    fine = refine_creases(topology, creases)
-    assert fine.sum() == 2 * creases.sum()
-    # Each side is computed as if the other were not there.
-    upper = vertices[:, 2] > 1e-9
-    above = upper[topology.edges].any(axis=1)
-    lower = vertices[:, 2] < -1e-9
-    if scheme == "butterfly":
-        assert not matrix[np.ix_(np.concatenate([upper, above]), lower)].any()
-
-
-def test_a_dart_is_smooth_and_a_corner_stays():
-    vertices, faces = lattice(7, 7)
-    topology = build_topology(faces, 49)
-    dart = [[23, 24]]  # one crease: its ends are darts
-    plain = schemes.subdivision_matrix(topology, "loop").toarray()
-    with_dart = schemes.subdivision_matrix(topology, "loop", creases=np.array(dart)).toarray()
-    np.testing.assert_array_equal(plain, with_dart)
-    assert edge_row(vertices, faces, "butterfly", 23, 24, creases=np.array(dart)) == {23: 1 / 2, 24: 1 / 2}
-    three = np.array([[24, 23], [24, 25], [24, 31]])
-    corner = schemes.subdivision_matrix(topology, "loop", creases=three).toarray()
-    assert nonzero(corner[24]) == {24: 1}
-    assert edge_row(vertices, faces, "butterfly", 24, 25, creases=three) == {24: 1 / 2, 25: 1 / 2}
-    straight = np.array([[23, 24], [24, 25]])
-    curve = schemes.subdivision_matrix(topology, "loop", creases=straight).toarray()
-    assert nonzero(curve[24]) == {23: 1 / 8, 24: 6 / 8, 25: 1 / 8}
-    # A dart ends the curve: the one-sided rule.
-    row = edge_row(vertices, faces, "butterfly", 23, 24, creases=straight)
-    assert row == {23: 3 / 8, 24: 6 / 8, 25: -1 / 8}
-
-
-def test_creases_by_mask_index_and_pair_are_the_same():
-    topology = build_topology(fan(5)[1], 6)
-    index = np.array([edge_index(topology, 0, 3), edge_index(topology, 0, 5)])
-    mask = np.zeros(len(topology.edges), dtype=bool)
-    mask[index] = True
-    for creases in (mask, index, np.array([[3, 0], [0, 5]])):
-        np.testing.assert_array_equal(crease_mask(topology, creases), mask)
-    for wrong in (np.array([[1, 3]]), np.array([99]), np.array([[0, 99]]), mask[:-1]):
-        with pytest.raises(ValueError, match="crease"):
-            crease_mask(topology, wrong)
-
-
-# ---- Loop's limit surface ---------------------------------------------------------------------------------------
-
-
-@shapes
-@pytest.mark.parametrize("weights", ["loop", "warren"])
-@pytest.mark.parametrize("with_creases", [False, True])
-def test_limit_is_the_same_from_every_level(vertices, faces, weights, with_creases):
-    vertices, topology = noisy(vertices, 0.02), build_topology(faces, len(vertices))
-    creases = some_creases(topology) if with_creases else np.zeros(len(topology.edges), dtype=bool)
-    fine = schemes.subdivision_matrix(topology, "loop", weights=weights, creases=creases) @ vertices
-    finer = build_topology(refine_faces(topology), len(fine))
-    position, normal = schemes.loop_limit(topology, vertices, weights=weights, creases=creases)
-    creases_fine = refine_creases(topology, creases, finer)
-    again, normal_again = schemes.loop_limit(finer, fine, weights=weights, creases=creases_fine)
-    np.testing.assert_allclose(again[: len(vertices)], position, atol=ROUNDING)
-    # A corner has no tangent plane: its normal is a mean over faces, which refinement may change.
-    sharp = topology.edges[creases | topology.is_boundary_edge]
-    has_tangents = np.bincount(sharp.reshape(-1), minlength=len(vertices)) < 3
-    # Rounding of the tangents, divided by their length.
-    np.testing.assert_allclose(normal_again[: len(vertices)][has_tangents], normal[has_tangents], atol=1e-10)
-
-
-def test_limit_normals_of_a_sphere_point_outwards():
-    vertices, faces = refined(*icosahedron(), 3)
-    vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-    position, normal = schemes.loop_limit(build_topology(faces, len(vertices)), vertices)
-    outwards = position / np.linalg.norm(position, axis=1, keepdims=True)
-    assert (normal * outwards).sum(axis=1).min() > np.cos(np.deg2rad(0.5))
-
-
-@pytest.mark.parametrize("vertices, faces", OPEN.values(), ids=OPEN.keys())
-def test_limit_normals_of_a_flat_patch_point_up(vertices, faces):
-    _, normal = schemes.loop_limit(build_topology(faces, len(vertices)), vertices)
-    np.testing.assert_allclose(normal, np.broadcast_to([0, 0, 1], normal.shape), atol=ROUNDING)
-
-
-def test_limit_is_where_many_levels_end():
-    vertices, faces = bipyramid(7)
-    topology = build_topology(faces, 9)
-    position, normal = schemes.loop_limit(topology, vertices)
-    last = schemes.subdivision_operator(topology, "loop", 6).apply(vertices)[-1][:9]
-    np.testing.assert_allclose(last, position, atol=1e-3)  # the distance falls by about four per level
-    np.testing.assert_allclose(normal[7:], [[0, 0, 1], [0, 0, -1]], atol=ROUNDING)
-
-
 # ---- meshes -----------------------------------------------------------------------------------------------------
 
 
@@ -441,12 +252,17 @@ def test_crease_angle_keeps_a_cube_sharp():
 # ---- independent oracles ----------------------------------------------------------------------------------------
 
 
+def distance_between_sets(a: np.ndarray, b: np.ndarray) -> float:
+    assert a.shape == b.shape
+    return max(cKDTree(a).query(b)[0].max(), cKDTree(b).query(a)[0].max())
+
+
 def by_vtk(vertices: np.ndarray, faces: np.ndarray, kind: str) -> np.ndarray:
     mesh = pv.PolyData.from_regular_faces(vertices, faces).subdivide(1, kind)
     return np.asarray(mesh.points, dtype=np.float64)
 
 
-@closed
+@each_closed
 @pytest.mark.parametrize("scheme, kind", [("midpoint", "linear"), ("loop", "loop"), ("butterfly", "butterfly")])
 def test_closed_meshes_equal_vtk(vertices, faces, scheme, kind):
     vertices = noisy(vertices)
@@ -454,14 +270,14 @@ def test_closed_meshes_equal_vtk(vertices, faces, scheme, kind):
     assert distance_between_sets(fine, by_vtk(vertices, faces, kind)) < 1e-6  # VTK stores new points as float32
 
 
-@shapes
+@each_shape
 def test_warren_weights_equal_igl(vertices, faces):
     vertices = noisy(vertices)
     fine = schemes.subdivision_matrix(build_topology(faces, len(vertices)), "loop", weights="warren") @ vertices
     assert distance_between_sets(fine, igl.loop(vertices, faces, 1)[0]) < ROUNDING
 
 
-@shapes
+@each_shape
 def test_midpoints_equal_igl(vertices, faces):
     fine = schemes.subdivision_matrix(build_topology(faces, len(vertices)), "midpoint") @ vertices
     assert distance_between_sets(fine, igl.upsample(vertices, faces, 1)[0]) < ROUNDING
