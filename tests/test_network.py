@@ -13,6 +13,7 @@ from neusub.flaps import level_flaps
 from neusub.frames import differential_coordinates
 from neusub.generation import Batch, Pair, batch_pairs
 from neusub.network import NeuralSubdivision
+from neusub.schemes import subdivision_matrix
 from neusub.topology import topology_levels
 
 GOLDEN_FILES = ("valid_001", "valid_005", "test_bunny", "test_horse")
@@ -290,3 +291,20 @@ def test_displacements_fade_with_flatness():
     moves = [mean_move(level) for level in (2, 3, 4)]
     assert moves[1] < 0.7 * moves[0]
     assert moves[2] < 0.6 * moves[1]
+
+
+@pytest.mark.parametrize("make", [lambda: shapes.torus(8, 6), lambda: shapes.grid(5, 4)])
+def test_beyond_the_trained_levels_a_flat_network_is_loops(make):
+    vertices, faces = make()
+    vertices = bumpy(vertices)
+    options = dict(vectors=2, relative=True, flat=0.3, trained=1)
+    plain = run(random_network(**options), vertices, faces)
+    settled = run(random_network(**options, settle=1e12), vertices, faces)  # everything is flat
+    for a, b in zip(plain[:2], settled[:2]):
+        np.testing.assert_array_equal(a, b)
+    middle = topology_levels(faces, len(vertices), 2)[0][1]
+    wanted = subdivision_matrix(middle, "loop") @ settled[1].numpy()
+    border = np.concatenate([middle.is_boundary_vertex, middle.is_boundary_edge])
+    np.testing.assert_allclose(settled[2][~border], wanted[~border], atol=1e-9)
+    halved = subdivision_matrix(middle, "midpoint") @ settled[1].numpy()
+    np.testing.assert_allclose(settled[2][border], halved[border], atol=1e-9)

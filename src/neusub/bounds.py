@@ -1,4 +1,6 @@
-"""Bounds on a trained network's displacements, for meshes unlike anything that it was trained on.  Not in the paper."""
+"""What keeps a trained network's displacements in check on meshes and levels that its training had none of: bounds,
+fading, and Loop's displacements in their place.  Not in the paper.
+"""
 
 from __future__ import annotations
 
@@ -6,9 +8,10 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
-from neusub.flaps import FlapGroups, pool
+from neusub.flaps import FlapGroups, LevelFlaps, pool
+from neusub.frames import edge_vectors, local_frames, sizes
 
-__all__ = ["bounded", "flattened", "heights_of"]
+__all__ = ["bounded", "flattened", "heights_of", "settled"]
 
 NOTHING = 1e-6  # a bound below this, of a mesh at the training's scale, is that of a flat patch
 
@@ -30,6 +33,37 @@ def flattened(
     """
     edge = pool(groups, size[:, None])[:, 0] / groups.offsets.diff().to(size.dtype)
     return heights / (heights + flat * edge)
+
+
+def settled(
+    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], height: float
+) -> Float[Tensor, "nV+nE 3"]:
+    """A level's vertices, drawn to those of Loop's scheme where the surface before was nearly flat.
+
+    The share of `after` is h / (h + height) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
+    comes to the same there; Loop's limit is smooth around irregular vertices too.  A boundary's share of Loop is that
+    its vertices stay and its edges are halved.
+    """
+    points, shares = [], []
+    for part in level.by_vertex.chunks():
+        edges = edge_vectors(part, before)
+        shares.append(flattened(heights_of(part, edges, local_frames(edges)[0]), part, sizes(edges), height))
+        valence = part.offsets.diff().to(before.dtype).clamp(min=1)
+        beta = 5 / 8 - (3 / 8 + torch.cos(2 * torch.pi / valence) / 4).square()
+        if part.missing is not None:
+            inner = ~part.missing.any(0)
+            beta = beta * torch.segment_reduce(inner.to(before.dtype), "min", offsets=part.offsets)
+        points.append(pool(part, edges[0].T.contiguous()) * (beta / valence)[:, None])
+    ends, wings = before[level.by_edge.corners[::2]].split(2, dim=1)
+    middle = ends.mean(dim=1)
+    points.append(middle + (wings.mean(dim=1) - middle) / 4)
+    if level.by_edge.missing is not None:
+        points[-1] = torch.where(level.by_edge.missing.any(0)[::2, None], middle, points[-1])
+    share = torch.cat(shares)
+    share = torch.cat([share, share[level.edges].mean(dim=1)])
+    loop = torch.cat(points)
+    loop[: len(before)] += before
+    return loop.lerp(after, share[:, None])
 
 
 def bounded(

@@ -20,6 +20,8 @@ class Architecture:
     activation: Literal["relu", "silu"] = "relu"
     flat: float = 0.0  # displacements fade with heights below this many edges; 0: they do not (`bounds.py`)
     bound: tuple[float, float] | None = None  # of displacements, in shortest edges and in heights (`bounds.py`)
+    trained: int = 2  # levels; beyond them `settle` acts
+    settle: float = 0.0  # displacements go over to Loop's where heights are below this many edges; 0: they do not
 
 
 @dataclass(frozen=True)
@@ -35,6 +37,7 @@ class TrainingConfig:
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
     bound: tuple[float, float] = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
+    settle: float = 0.0  # of the trained model, beyond `levels`
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
     device: str = "auto"
@@ -58,7 +61,7 @@ PRESETS = {
     "default": TrainingConfig(batch=2, schedule="cosine", epochs=90, learning_rate=1e-3, shallow=0.6, loss="surface",
                               network=Architecture(64, 48, vectors=4, relative=True, residual=True, activation="silu",
                                                    flat=0.3, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6)),
+                              bound=(0.25, 0.6), settle=0.05),
 }
 
 

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import linear, relu, silu
 
-from neusub.bounds import bounded, flattened, heights_of
+from neusub.bounds import bounded, flattened, heights_of, settled
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, gather_corners, pool, sum_slots
 from neusub.frames import differential_coordinates, edge_vectors, in_frames, local_frames, sizes, vertex_normals
@@ -145,12 +145,16 @@ class NeuralSubdivision(nn.Module):
         positions = put(positions + move, given[0])
         outputs = [positions]
         for k, level in enumerate(levels):
+            before = positions
             move, learned, heights = self.vertex(level.by_vertex, positions, values)
             values = self._added(values, learned)
             positions = put(positions + move, given[k])
             is_last = k + 1 == len(levels)
             move, learned, _ = self.edge(level.by_edge, positions, values, heights, learns=not is_last)
-            positions = put(torch.cat([positions, means(level, positions) + move]), given[k + 1])
+            positions = torch.cat([positions, means(level, positions) + move])
+            if self.plan.settle and k >= self.plan.trained:
+                positions = settled(level, before, positions, self.plan.settle)
+            positions = put(positions, given[k + 1])
             outputs.append(positions)
             if not is_last:
                 between = Values(*(None if v is None else means(level, v) for v in values))
