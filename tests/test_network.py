@@ -297,7 +297,7 @@ def test_displacements_fade_with_flatness():
 def test_beyond_the_trained_levels_a_flat_network_is_loops(make):
     vertices, faces = make()
     vertices = bumpy(vertices)
-    options = dict(vectors=2, relative=True, flat=0.3, trained=1)
+    options = {"vectors": 2, "relative": True, "flat": 0.3, "trained": 1}
     plain = run(random_network(**options), vertices, faces)
     settled = run(random_network(**options, settle=1e12), vertices, faces)  # everything is flat
     for a, b in zip(plain[:2], settled[:2]):

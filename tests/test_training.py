@@ -1,14 +1,16 @@
 """Truths of the training loop."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
-from safetensors.torch import load_file
+from safetensors import safe_open
+from safetensors.torch import load_file, save_file
 
 import shapes
-from neusub.configuration import TrainingConfig
+from neusub.configuration import Architecture, TrainingConfig
 from neusub.errors import TrainingError
 from neusub.generation import Pair, batch_pairs, load_pairs, save_pairs
 from neusub.mesh import Mesh
@@ -107,6 +109,18 @@ def test_a_run_is_not_resumed_with_other_options_or_data(files, tmp_path):
         train(*files, tmp_path / "run", replace(CONFIG, learning_rate=1.0), resume=True)
     with pytest.raises(TrainingError, match="other pair files"):
         train(files[1], files[1], tmp_path / "run", CONFIG, resume=True)
+
+
+def test_a_checkpoint_from_before_an_option_came_in_is_resumed(files, tmp_path):
+    train(*files, tmp_path / "run", CONFIG)
+    path = tmp_path / "run" / "checkpoint.safetensors"
+    with safe_open(path, framework="pt") as file:
+        header = json.loads(file.metadata()["neusub"])
+    del header["config"]["network"]["settle"], header["config"]["shallow"]
+    save_file(load_file(path), path, metadata={"neusub": json.dumps(header)})
+    assert train(*files, tmp_path / "run", replace(CONFIG, epochs=5), resume=True).epochs == 5
+    with pytest.raises(TrainingError, match="settle"):
+        train(*files, tmp_path / "run", replace(CONFIG, network=Architecture(settle=0.1)), resume=True)
 
 
 def test_a_run_at_a_constant_rate_can_be_prolonged(files, tmp_path):

@@ -270,6 +270,8 @@ def load_checkpoint(path: Path, run: _Run) -> None:
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
     for field in fields(TrainingConfig):
         was, now = header["config"].get(field.name, default[field.name]), here[field.name]
+        if isinstance(now, dict):  # an option that came in after the run began has its default
+            was = {**default[field.name], **was}
         if was != now and field.name not in free:
             raise TrainingError(f"{path}: the run has {field.name} = {was!r}, not {now!r}. Resume it with its own "
                                 "options, or choose another folder.")
