@@ -24,7 +24,7 @@ from experiments.smoothness import FOLD, angles
 from neusub.map_pictures import Surface, View, surface_picture
 from neusub.metrics import face_normals
 
-SHOWS = ("fig:level3", "fig:lim_beyondSubd")
+SHOWS = ("fig:lim_beyondSubd",)
 TRAINED, LEVELS = 2, 5
 MODELS, SCHEMES = ("elephant", "default"), ("loop", "butterfly")
 METHODS = (*MODELS, *(f"{model}, then loop" for model in MODELS), *SCHEMES)
