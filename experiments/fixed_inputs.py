@@ -24,7 +24,8 @@ from experiments.common import (
     write_results,
 )
 
-KINDS, SEEDS, MODELS = ("on_surface", "decimated"), range(5), ("elephant", "default")
+KINDS, SEEDS = ("on_surface", "decimated"), range(5)
+MODELS = ("elephant", "bunny", "organic", "mechanical", "default")
 
 
 def main() -> None:

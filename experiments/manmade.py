@@ -25,7 +25,7 @@ from experiments.common import HERE, SCHEMES, parser_of, provenance, refined, wr
 from neusub.creases import crease_edges
 
 SIZE, LEVELS = 500, 2
-METHODS = (*SCHEMES, "elephant", "default")
+METHODS = (*SCHEMES, "elephant", "mechanical", "default")
 SHARP, STRAIGHT, KEPT = 40.0, 0.5, 1.0  # degrees
 
 
