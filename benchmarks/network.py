@@ -16,13 +16,10 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from neusub import Mesh, Subdivider
-from neusub.configuration import PRESETS
+from neusub import PRESETS, Mesh, Pair, Subdivider, save_pairs, train
 from neusub.flaps import level_flaps
-from neusub.generation import Pair, save_pairs
 from neusub.network import NeuralSubdivision
 from neusub.topology import topology_levels
-from neusub.training import train
 
 
 def torus(n: int, m: int) -> Mesh:

@@ -17,8 +17,9 @@ import pyvista
 from PIL import Image
 
 import neusub
+from neusub import Mesh
 from neusub.io import read
-from neusub.mesh import Material, Mesh
+from neusub.mesh import Material
 from neusub.repair import repair
 
 SCHEMES = ("loop", "butterfly", "neural")

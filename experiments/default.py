@@ -20,10 +20,7 @@ import neusub
 from experiments.analytic import analytic_pairs
 from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
 from experiments.sources import bent, solid, stretched
-from neusub.configuration import PRESETS, PairConfig
-from neusub.discretization import make_pairs
-from neusub.generation import save_pairs
-from neusub.training import train
+from neusub import PRESETS, PairConfig, make_pairs, save_pairs, train
 
 NAMES = {"on_surface": "default", "decimated": "default-decimated"}
 DESCRIPTIONS = {

@@ -13,9 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.common import parser_of, provenance, ship, show, training_scores, write_results
-from neusub.configuration import PRESETS
-from neusub.generation import import_pairs
-from neusub.training import TrainingResult, train
+from neusub import PRESETS, TrainingResult, import_pairs, train
 
 SHOWS = ("app:experiments",)
 REFERENCE = 1.926012e-6

@@ -20,7 +20,7 @@ from experiments.gallery_pictures import BACK, BLUE, GREEN, GREY, shaded
 from experiments.parameterization_pictures import titled, write
 from experiments.smoothness import angles
 from experiments.styles import HELD_OUT, SPOT, VALIDATION, held_out, mean_of, percents
-from neusub.configuration import PRESETS, PairConfig
+from neusub import PRESETS, PairConfig
 
 SHOWS = ("fig:level3",)
 TRAINED, TESTED = (2, 3), 4

@@ -18,8 +18,7 @@ import numpy as np
 
 import neusub
 from experiments.common import parser_of, provenance, write_results
-from neusub.errors import NeusubError
-from neusub.metrics import face_normals
+from neusub import NeusubError, face_normals
 
 SIZE, LEVELS = 500, 4
 

@@ -36,7 +36,7 @@ from experiments.common import (
 )
 from experiments.smoothness import angles
 from experiments.sources import solid
-from neusub.configuration import PRESETS, PairConfig
+from neusub import PRESETS, PairConfig
 
 SHOWS = ("fig:singleShape", "fig:poses", "fig:dataDriven", "fig:lim_sharp", "fig:mechE_vs_smooth", "fig:moreShapes")
 SPOT, FISH, HAND = "organic/oded_spot.ply", "organic/oded_fish.ply", "organic/oded_hand_closed.ply"

@@ -38,10 +38,8 @@ from experiments.common import (
     training_scores,
     write_results,
 )
-from neusub.configuration import PRESETS, PairConfig
-from neusub.discretization import make_pairs
+from neusub import PRESETS, PairConfig, TrainingResult, make_pairs, train
 from neusub.generation import read_header
-from neusub.training import TrainingResult, train
 
 SHOWS = ("tab:quantitative",)
 PARTS = {"top": ("centaur",), "bottom": ("centaur", "david", "horse")}

@@ -16,7 +16,7 @@ from pathlib import Path
 import neusub
 from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
 from experiments.sources import solid
-from neusub.configuration import PRESETS, PairConfig
+from neusub import PRESETS, PairConfig
 
 SOLIDS = 8
 MODELS = {  # description, and the sources: names in recipes/default.json, or a file with its terms
