@@ -180,6 +180,21 @@ def test_a_bound_keeps_each_displacement_below_its_share_of_the_shortest_edge():
     assert np.linalg.norm(free - vertices, axis=1).max() > moved.max()
 
 
+def test_a_bound_by_altitude_keeps_thin_triangles_from_folding():
+    vertices, faces = shapes.torus(8, 6)
+    vertices = vertices * [1, 1, 0.02]  # squeezed: altitudes shrink, the ring's edges hardly do
+    corners = vertices[faces]
+    doubled = np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    altitude = doubled / np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).max(axis=1)
+    around = np.full(len(vertices), np.inf)
+    for column in faces.T:
+        np.minimum.at(around, column, altitude)
+    moved = [run(random_network(bound=bound), vertices, faces, 1)[0].numpy() for bound in ((9, 9), (9, 9, 0.1))]
+    lengths = np.linalg.norm(np.array(moved) - vertices, axis=2)
+    assert (lengths[0] > 0.1 * around).all()
+    assert (lengths[1] < 0.1 * around * (1 + 1e-12)).all() and (lengths[1] > 0.05 * around).all()
+
+
 def test_with_a_bound_a_flat_patch_stays_flat():
     vertices, faces = shapes.grid(6, 5)
     turn = np.linalg.qr(np.random.default_rng(0).standard_normal((3, 3)))[0]

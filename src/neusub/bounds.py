@@ -68,9 +68,10 @@ def settled(
 
 def bounded(
     move: Float[Tensor, "m 3"], groups: FlapGroups, edges: Float[Tensor, "3 3 n"], heights: Float[Tensor, " m"],
-    bound: tuple[float, float],
+    bound: tuple[float, ...],
 ) -> Float[Tensor, "m 3"]:
-    """Displacements shorter than bound[0] times the shortest edge of their half-flaps, and bound[1] times the height.
+    """Displacements shorter than bound[0] times the shortest edge of their half-flaps, bound[1] times the height and,
+    where there is one, bound[2] times the smallest altitude of their triangles.
 
     Smoothly: with x the length over its bound, it is divided by (1 + x^4)^(1/4), which is nearly 1 below a half.
 
@@ -79,8 +80,13 @@ def bounded(
     `docs/research.md` has the numbers.
     """
     e1, e2, e3 = edges
-    squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).amin(0)
-    shortest = torch.segment_reduce(squared, "min", offsets=groups.offsets).sqrt()
+    squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1)
+    shortest = torch.segment_reduce(squared.amin(0), "min", offsets=groups.offsets).sqrt()
     limit = torch.minimum(bound[0] * shortest, bound[1] * heights)
+    if len(bound) > 2:
+        longest = torch.maximum(squared[0], torch.maximum(squared[1:3], squared[3:]))
+        doubled = torch.linalg.cross(e1[None], edges[1:], dim=1).square().sum(1)
+        altitude = (doubled / longest.clamp(min=torch.finfo(move.dtype).tiny)).amin(0)
+        limit = torch.minimum(limit, bound[2] * torch.segment_reduce(altitude, "min", offsets=groups.offsets).sqrt())
     ratio = move.square().sum(1) / limit.clamp(min=NOTHING).square()
     return move * ((1 + ratio.square()) ** -0.25 * (limit / NOTHING).clamp(max=1))[:, None]

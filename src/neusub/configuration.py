@@ -19,7 +19,7 @@ class Architecture:
     residual: bool = False  # modules add to a vertex's features and vectors, instead of replacing them
     activation: Literal["relu", "silu"] = "relu"
     flat: float = 0.0  # displacements fade with heights below this many edges; 0: they do not (`bounds.py`)
-    bound: tuple[float, float] | None = None  # of displacements, in shortest edges and in heights (`bounds.py`)
+    bound: tuple[float, ...] | None = None  # of displacements: shortest edges, heights[, altitudes] (`bounds.py`)
     trained: int = 2  # levels; beyond them `settle` acts
     settle: float = 0.0  # displacements go over to Loop's where heights are below this many edges; 0: they do not
 
@@ -36,7 +36,7 @@ class TrainingConfig:
     shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
-    bound: tuple[float, float] = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
+    bound: tuple[float, ...] = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
     settle: float = 0.0  # of the trained model, beyond `levels`
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
@@ -61,7 +61,7 @@ PRESETS = {
     "default": TrainingConfig(batch=2, schedule="cosine", epochs=90, learning_rate=1e-3, shallow=0.6, loss="surface",
                               network=Architecture(64, 48, vectors=4, relative=True, residual=True, activation="silu",
                                                    flat=0.3, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6), settle=0.05),
+                              bound=(0.25, 0.6, 0.4), settle=0.05),
 }
 
 

@@ -215,8 +215,9 @@ def checked_architecture(entries: dict[str, Any]) -> Architecture:
     entries = {key: value for key, value in entries.items() if key != "kind"}
     bound = entries.get("bound")
     if bound is not None:
-        edge, height = bound
-        entries["bound"] = float(edge), float(height)
+        if len(bound) not in (2, 3):
+            raise ValueError(f"bound = {bound}: two or three numbers")
+        entries["bound"] = tuple(map(float, bound))
     return Architecture(**entries)
 
 
