@@ -61,7 +61,7 @@ PRESETS = {
     "default": TrainingConfig(batch=2, schedule="cosine", epochs=90, learning_rate=1e-3, shallow=0.6, loss="surface",
                               network=Architecture(64, 48, vectors=4, relative=True, residual=True, activation="silu",
                                                    flat=0.3, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6, 0.4), settle=0.05),
+                              bound=(0.25, 0.6, 0.3), settle=0.05),
 }
 
 
