@@ -118,3 +118,8 @@ def score(result: neusub.Mesh, reference: neusub.Mesh, seeds: Iterable[int] = ra
     """H and M in the reference's units, means over sampling seeds."""
     draws = [neusub.distance(result, reference, seed=seed) for seed in seeds]
     return float(np.mean([d.hausdorff for d in draws])), float(np.mean([d.mean for d in draws]))
+
+
+def volume(mesh: neusub.Mesh) -> float:
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+    return float((a * np.cross(b, c)).sum() / 6)

@@ -20,7 +20,7 @@ from numpy import ndarray
 
 import neusub
 from experiments import common
-from experiments.common import SCHEMES, provenance, write_results
+from experiments.common import SCHEMES, provenance, volume, write_results
 from experiments.smoothness import FOLD, angles
 from neusub import Mesh, SelfParameterization, point_distance, sample_surface
 
@@ -85,11 +85,6 @@ def all_levels(folder: Path) -> dict:
                 "coarse": percents(pair.on_surface, pair.fine),
                 **{f"level {k}": percents(mesh, pair.fine) for k, mesh in enumerate(levels)}}
     return rows
-
-
-def volume(mesh: Mesh) -> float:
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    return float((a * np.cross(b, c)).sum() / 6)
 
 
 def artists(folder: Path) -> dict:

@@ -6,15 +6,10 @@ import numpy as np
 import pytest
 from experiments import sources
 from experiments.__main__ import names
+from experiments.common import volume
 
 import shapes
-from neusub import Mesh
 from neusub.metrics import face_normals
-
-
-def volume(mesh: Mesh) -> float:
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    return float((a * np.cross(b, c)).sum()) / 6
 
 
 def test_every_experiment_is_listed():
