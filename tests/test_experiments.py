@@ -9,6 +9,7 @@ from experiments.__main__ import names
 from experiments.common import volume
 
 import shapes
+from neusub import Mesh
 from neusub.metrics import face_normals
 
 
