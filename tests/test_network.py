@@ -12,8 +12,10 @@ from neusub.configuration import PRESETS, Architecture
 from neusub.flaps import level_flaps
 from neusub.frames import differential_coordinates
 from neusub.generation import Batch, Pair, batch_pairs
+from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
-from neusub.schemes import subdivision_matrix
+from neusub.schemes import subdivide_classic, subdivision_matrix
+from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
 
 GOLDEN_FILES = ("valid_001", "valid_005", "test_bunny", "test_horse")
@@ -180,7 +182,7 @@ def test_a_bound_keeps_each_displacement_below_its_share_of_the_shortest_edge():
     assert np.linalg.norm(free - vertices, axis=1).max() > moved.max()
 
 
-def test_a_bound_by_altitude_keeps_thin_triangles_from_folding():
+def test_a_bound_keeps_each_displacement_below_its_share_of_the_smallest_altitude():
     vertices, faces = shapes.torus(8, 6)
     vertices = vertices * [1, 1, 0.02]  # squeezed: altitudes shrink, the ring's edges hardly do
     corners = vertices[faces]
@@ -309,7 +311,7 @@ def test_displacements_fade_with_flatness():
 
 
 @pytest.mark.parametrize("make", [lambda: shapes.torus(8, 6), lambda: shapes.grid(5, 4)])
-def test_beyond_the_trained_levels_a_flat_network_is_loops(make):
+def test_beyond_the_trained_levels_vertices_of_flat_places_go_to_loops_points(make):
     vertices, faces = make()
     vertices = bumpy(vertices)
     options = {"vectors": 2, "relative": True, "flat": 0.3, "trained": 1}
@@ -319,7 +321,24 @@ def test_beyond_the_trained_levels_a_flat_network_is_loops(make):
         np.testing.assert_array_equal(a, b)
     middle = topology_levels(faces, len(vertices), 2)[0][1]
     wanted = subdivision_matrix(middle, "loop") @ settled[1].numpy()
-    border = np.concatenate([middle.is_boundary_vertex, middle.is_boundary_edge])
-    np.testing.assert_allclose(settled[2][~border], wanted[~border], atol=1e-9)
-    halved = subdivision_matrix(middle, "midpoint") @ settled[1].numpy()
-    np.testing.assert_allclose(settled[2][border], halved[border], atol=1e-9)
+    np.testing.assert_allclose(settled[2], wanted, atol=1e-9)
+
+
+def test_a_border_gets_smoother_beyond_the_trained_levels_and_keeps_its_corners():
+    angle = 2 * np.pi * np.arange(10) / 10
+    dome = np.concatenate([[[0, 0, 0.3]], np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)])
+    faces = np.stack([0 * np.arange(10), 1 + np.arange(10), 1 + (np.arange(10) + 1) % 10], axis=1)
+    model = Subdivider.load(dtype=torch.float64)
+    turns = []
+    for mesh in model.subdivide(subdivide_classic(Mesh(dome, faces), "loop", 1)[-1], 5)[2:]:
+        ends = mesh.vertices[mesh.topology.edges[mesh.topology.is_boundary_edge]]
+        around = np.argsort(np.arctan2(*ends.mean(axis=1).T[:2]))
+        ahead = (ends[:, 1] - ends[:, 0])[around]
+        ahead /= np.linalg.norm(ahead, axis=1, keepdims=True)
+        turns.append(np.degrees(np.arccos(np.abs((ahead * np.roll(ahead, 1, axis=0)).sum(axis=1)).clip(0, 1))).max())
+    assert turns[1] < 0.8 * turns[0] and turns[2] < 0.8 * turns[1] and turns[3] < 0.8 * turns[2], turns
+    square, halves = shapes.grid(4, 4)
+    fine = model.subdivide(Mesh(square, halves), 4)[-1].vertices
+    edge = np.ptp(square[:, 0]) / 4
+    for corner in (square.min(axis=0), square.max(axis=0)):
+        assert np.linalg.norm(fine - corner, axis=1).min() < 0.02 * edge

@@ -119,8 +119,20 @@ def test_a_checkpoint_from_before_an_option_came_in_is_resumed(files, tmp_path):
     del header["config"]["network"]["settle"], header["config"]["shallow"]
     save_file(load_file(path), path, metadata={"neusub": json.dumps(header)})
     assert train(*files, tmp_path / "run", replace(CONFIG, epochs=5), resume=True).epochs == 5
-    with pytest.raises(TrainingError, match="settle"):
-        train(*files, tmp_path / "run", replace(CONFIG, network=Architecture(settle=0.1)), resume=True)
+    with pytest.raises(TrainingError, match="flat"):
+        train(*files, tmp_path / "run", replace(CONFIG, network=Architecture(flat=0.1)), resume=True)
+
+
+def test_the_trained_model_settles_beyond_the_levels_of_its_training(files, tmp_path):
+    config = replace(CONFIG, epochs=1, settle=0.1, bound=(0.2, 0.3, 0.4))
+    plan = train(*files, tmp_path / "run", config).model.network.plan
+    assert (plan.trained, plan.settle, plan.bound) == (2, 0.1, (0.2, 0.3, 0.4))
+    plan = Subdivider.load(tmp_path / "run" / "model.safetensors").network.plan
+    assert (plan.trained, plan.settle, plan.bound) == (2, 0.1, (0.2, 0.3, 0.4))
+    with pytest.raises(ValueError, match="settle"):
+        TrainingConfig(network=Architecture(settle=0.1))
+    with pytest.raises(ValueError, match="bound"):
+        TrainingConfig(bound=(0.2,))  # type: ignore[arg-type]
 
 
 def test_a_run_at_a_constant_rate_can_be_prolonged(files, tmp_path):

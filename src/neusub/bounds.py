@@ -1,5 +1,5 @@
-"""What keeps a trained network's displacements in check on meshes and levels that its training had none of: bounds,
-fading, and Loop's displacements in their place.  Not in the paper.
+"""What keeps a trained network in check on meshes and levels that its training had none of: bounds of displacements,
+fading, and Loop's points where the surface is nearly flat.  Not in the paper.
 """
 
 from __future__ import annotations
@@ -31,39 +31,49 @@ def flattened(
     What is wrong in a displacement stays in proportion to the edge, though, and makes the surface rougher, the deeper
     the level; with this factor it goes down too.
     """
-    edge = pool(groups, size[:, None])[:, 0] / groups.offsets.diff().to(size.dtype)
-    return heights / (heights + flat * edge)
+    return heights / (heights + flat * means_of(groups, size))
+
+
+def means_of(groups: FlapGroups, size: Float[Tensor, " n"]) -> Float[Tensor, " m"]:
+    """Mean size of each group's half-flaps."""
+    return pool(groups, size[:, None])[:, 0] / groups.offsets.diff().to(size.dtype)
 
 
 def settled(
-    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], height: float
+    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float
 ) -> Float[Tensor, "nV+nE 3"]:
     """A level's vertices, drawn to those of Loop's scheme where the surface before was nearly flat.
 
-    The share of `after` is h / (h + height) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
-    comes to the same there; Loop's limit is smooth around irregular vertices too.  A boundary's share of Loop is that
-    its vertices stay and its edges are halved.
+    The share of `after` is h / (h + settle) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
+    comes to the same there; Loop's limit is smooth around irregular vertices too.  Along a boundary it is Loop's curve
+    rule; the height there is at least h (h / edge), h from the neighbours' middle: bends go, corners stay.
     """
     points, shares = [], []
     for part in level.by_vertex.chunks():
         edges = edge_vectors(part, before)
-        shares.append(flattened(heights_of(part, edges, local_frames(edges)[0]), part, sizes(edges), height))
-        valence = part.offsets.diff().to(before.dtype).clamp(min=1)
+        size = sizes(edges)
+        heights = heights_of(part, edges, local_frames(edges)[0])
+        valence = part.offsets.diff().to(before.dtype)
         beta = 5 / 8 - (3 / 8 + torch.cos(2 * torch.pi / valence) / 4).square()
+        move = pool(part, edges[0].T.contiguous()) * (beta / valence)[:, None]
         if part.missing is not None:
-            inner = ~part.missing.any(0)
-            beta = beta * torch.segment_reduce(inner.to(before.dtype), "min", offsets=part.offsets)
-        points.append(pool(part, edges[0].T.contiguous()) * (beta / valence)[:, None])
-    ends, wings = before[level.by_edge.corners[::2]].split(2, dim=1)
-    middle = ends.mean(dim=1)
-    points.append(middle + (wings.mean(dim=1) - middle) / 4)
-    if level.by_edge.missing is not None:
-        points[-1] = torch.where(level.by_edge.missing.any(0)[::2, None], middle, points[-1])
+            along = part.missing.any(0)  # two half-flaps of each boundary vertex
+            curve = pool(part, edges[0].T * along[:, None]) / 2
+            boundary = torch.segment_reduce(along.to(before.dtype), "max", offsets=part.offsets) > 0
+            move = torch.where(boundary[:, None], curve / 4, move)
+            heights = torch.maximum(heights, curve.square().sum(1) / means_of(part, size))
+        points.append(move)
+        shares.append(flattened(heights, part, size, settle))
+    points = [before + torch.cat(points)]
+    for part in level.by_edge.chunks():
+        ends, wings = before[part.corners[::2]].split(2, dim=1)  # the same from both half-flaps
+        middle = ends.mean(dim=1)
+        inside = middle + (wings.mean(dim=1) - middle) / 4
+        points.append(inside if part.missing is None else
+                      torch.where(part.missing.any(0)[::2, None], middle, inside))
     share = torch.cat(shares)
     share = torch.cat([share, share[level.edges].mean(dim=1)])
-    loop = torch.cat(points)
-    loop[: len(before)] += before
-    return loop.lerp(after, share[:, None])
+    return torch.cat(points).lerp(after, share[:, None])
 
 
 def bounded(

@@ -8,6 +8,14 @@ from typing import Literal
 __all__ = ["PRESETS", "Architecture", "PairConfig", "TrainingConfig"]
 
 
+Bound = tuple[float, float] | tuple[float, float, float]  # in shortest edges, heights[, smallest altitudes]
+
+
+def check_bound(bound: Bound | None) -> None:
+    if bound is not None and len(bound) not in (2, 3):
+        raise ValueError(f"bound = {bound}: give two numbers or three.")
+
+
 @dataclass(frozen=True)
 class Architecture:
     """What a network is; the defaults are the paper's."""
@@ -19,9 +27,12 @@ class Architecture:
     residual: bool = False  # modules add to a vertex's features and vectors, instead of replacing them
     activation: Literal["relu", "silu"] = "relu"
     flat: float = 0.0  # displacements fade with heights below this many edges; 0: they do not (`bounds.py`)
-    bound: tuple[float, ...] | None = None  # of displacements: shortest edges, heights[, altitudes] (`bounds.py`)
+    bound: Bound | None = None  # of displacements (`bounds.py`)
     trained: int = 2  # levels; beyond them `settle` acts
-    settle: float = 0.0  # displacements go over to Loop's where heights are below this many edges; 0: they do not
+    settle: float = 0.0  # vertices go over to Loop's points where heights are below this many edges; 0: they do not
+
+    def __post_init__(self) -> None:
+        check_bound(self.bound)
 
 
 @dataclass(frozen=True)
@@ -36,7 +47,7 @@ class TrainingConfig:
     shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
-    bound: tuple[float, ...] = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
+    bound: Bound = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
     settle: float = 0.0  # of the trained model, beyond `levels`
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
@@ -49,6 +60,9 @@ class TrainingConfig:
         for name in ("epochs", "batch", "levels", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: take at least 1.")
+        check_bound(self.bound)
+        if self.network.settle:
+            raise ValueError(f"network.settle = {self.network.settle}: give the training's own `settle`, for use.")
         if not 0 <= self.shallow <= 1:
             raise ValueError(f"shallow = {self.shallow}: take a share, 0 to 1.")
         if not self.learning_rate > 0:

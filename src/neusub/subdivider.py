@@ -213,11 +213,8 @@ def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, " nV"], 
 def checked_architecture(entries: dict[str, Any]) -> Architecture:
     """A card's architecture.  Raises KeyError, TypeError or ValueError where it is none."""
     entries = {key: value for key, value in entries.items() if key != "kind"}
-    bound = entries.get("bound")
-    if bound is not None:
-        if len(bound) not in (2, 3):
-            raise ValueError(f"bound = {bound}: two or three numbers")
-        entries["bound"] = tuple(map(float, bound))
+    if entries.get("bound") is not None:
+        entries["bound"] = tuple(map(float, entries["bound"]))
     return Architecture(**entries)
 
 
