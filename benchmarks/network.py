@@ -16,8 +16,9 @@ from pathlib import Path
 import numpy as np
 import torch
 
-from neusub import PRESETS, Mesh, Pair, Subdivider, save_pairs, train
+from neusub import PRESETS, Mesh, Subdivider, train
 from neusub.flaps import level_flaps
+from neusub.generation import Pair, save_pairs
 from neusub.network import NeuralSubdivision
 from neusub.topology import topology_levels
 
@@ -68,7 +69,8 @@ def architectures() -> None:
     count = 2 * (len(topologies[0].edges) + 2 * sum(len(topology.edges) for topology in topologies))
     cost = {}
     for preset in ("paper", "default"):
-        network = NeuralSubdivision(PRESETS[preset].network).eval().requires_grad_(False)
+        plan = replace(PRESETS[preset].network, bound=PRESETS[preset].bound)
+        network = NeuralSubdivision(plan).eval().requires_grad_(False)
         with torch.inference_mode():
             cost[preset] = best_of(lambda network=network: network(positions, flaps), 5) / count
     print(f"a half-flap through the paper's network {1e9 * cost['paper']:.0f} ns, through the default one "

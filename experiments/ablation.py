@@ -23,9 +23,9 @@ from PIL import Image
 import neusub
 from experiments.common import HERE, RESULTS, parser_of, provenance
 from experiments.variants import NETWORKS, Fit, LastLevel, fit, shrunk
-from neusub import Pair, PairConfig, TrainingConfig, import_pairs, load_pairs, save_pairs
+from neusub import PairConfig, TrainingConfig, import_pairs
 from neusub.files import replacing
-from neusub.generation import Batch, batch_pairs, pair_files
+from neusub.generation import Batch, Pair, batch_pairs, load_pairs, pair_files, save_pairs
 
 SHOWS = ("app:ablation",)
 PAPER, LAST = "paper", "loss on the last level"

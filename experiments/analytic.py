@@ -13,7 +13,7 @@ import numpy as np
 from numpy import ndarray
 from scipy.spatial import ConvexHull
 
-from neusub import Pair
+from neusub.generation import Pair
 from neusub.topology import topology_levels
 
 __all__ = ["analytic_pairs"]

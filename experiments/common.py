@@ -15,7 +15,7 @@ import numpy as np
 import torch
 
 import neusub
-from neusub import TrainingResult
+from neusub.training import TrainingResult
 
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"

@@ -20,7 +20,8 @@ import neusub
 from experiments.analytic import analytic_pairs
 from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
 from experiments.sources import bent, solid, stretched
-from neusub import PRESETS, PairConfig, make_pairs, save_pairs, train
+from neusub import PRESETS, PairConfig, make_pairs, train
+from neusub.generation import save_pairs
 
 NAMES = {"on_surface": "default", "decimated": "default-decimated"}
 DESCRIPTIONS = {

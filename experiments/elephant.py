@@ -13,7 +13,8 @@ from dataclasses import replace
 from pathlib import Path
 
 from experiments.common import parser_of, provenance, ship, show, training_scores, write_results
-from neusub import PRESETS, TrainingResult, import_pairs, train
+from neusub import PRESETS, import_pairs, train
+from neusub.training import TrainingResult
 
 SHOWS = ("app:experiments",)
 REFERENCE = 1.926012e-6

@@ -22,7 +22,8 @@ import neusub
 from experiments import common
 from experiments.common import SCHEMES, provenance, volume, write_results
 from experiments.smoothness import FOLD, angles
-from neusub import Mesh, SelfParameterization, point_distance, sample_surface
+from neusub import Mesh, SelfParameterization
+from neusub.metrics import point_distance, sample_surface
 
 SHOWS = ("fig:teaser", "fig:allLevels", "fig:trainData", "fig:manyShapes", "fig:SSS", "fig:subdivScene",
          "fig:lim_semantic", "fig:texture", "fig:modeling")

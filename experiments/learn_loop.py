@@ -24,8 +24,8 @@ import neusub
 from experiments.common import parser_of, provenance, write_results
 from experiments.parameterization_pictures import FRONT, OTHER, titled, write
 from experiments.variants import NETWORKS, Fit, fit, panel
-from neusub import Mesh, Pair, PairConfig, Subdivider, TrainingConfig, load_pairs
-from neusub.generation import Batch, batch_pairs
+from neusub import Mesh, PairConfig, Subdivider, TrainingConfig
+from neusub.generation import Batch, Pair, batch_pairs, load_pairs
 from neusub.map_pictures import View
 from neusub.training import mean_coarse_edge
 

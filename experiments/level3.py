@@ -31,7 +31,8 @@ def trained(levels: int, options: argparse.Namespace) -> tuple[neusub.Subdivider
     """Pairs of the same seeds whatever the number of levels: the two networks see the same coarse meshes."""
     folder = options.runs / "level3" / f"{levels}-levels-{options.pairs}"
     plan = PairConfig(total=options.pairs, validation=VALIDATION, levels=levels, seed=options.seed)
-    pairs = neusub.make_pairs([options.meshes / SPOT], folder / "pairs", plan, strict=True, licence="CC0 (Crane)")
+    pairs = neusub.make_pairs([options.meshes / SPOT], folder / "pairs", plan, workers=options.threads, strict=True,
+                              licence="CC0 (Crane)")
     config = replace(PRESETS["paper"], schedule="cosine", epochs=options.epochs, levels=levels, seed=options.seed,
                      threads=options.threads)
     result = neusub.train(pairs.train, pairs.validation, folder / f"{options.epochs}-epochs", config, resume=True)

@@ -21,8 +21,8 @@ import neusub
 from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, score, write_results
 from experiments.parameterization_pictures import CLAY, titled, write
 from experiments.smoothness import FOLD, angles
-from neusub import face_normals
 from neusub.map_pictures import Surface, View, surface_picture
+from neusub.metrics import face_normals
 
 SHOWS = ("fig:lim_beyondSubd",)
 TRAINED, LEVELS = 2, 5

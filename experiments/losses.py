@@ -30,10 +30,11 @@ from experiments.common import parser_of, provenance, write_results
 from experiments.parameterization_pictures import FRONT, RED, titled, write
 from experiments.smoothness import FOLD, angles
 from experiments.variants import CLAY, NETWORKS, Fit, fit, panel, refined
-from neusub import Mesh, Pair, PairConfig, TrainingConfig, face_normals, load_pairs, point_distance, sample_surface
+from neusub import Mesh, PairConfig, TrainingConfig
 from neusub.discretization import in_unit_box
-from neusub.generation import Batch, batch_pairs
+from neusub.generation import Batch, Pair, batch_pairs, load_pairs
 from neusub.map_pictures import View
+from neusub.metrics import face_normals, point_distance, sample_surface
 from neusub.selfparam.parameterization import refinement
 
 SHOWS = ("fig:chamfer", "fig:point2mesh")

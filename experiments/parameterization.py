@@ -19,7 +19,8 @@ from numpy import ndarray
 
 import neusub
 from experiments.common import provenance, write_results
-from neusub import Criteria, Mesh, SelfParameterization, decimate, decimate_maps
+from neusub import Criteria, Mesh, SelfParameterization, decimate
+from neusub.selfparam.maps import decimate_maps
 from neusub.selfparam.parameterization import refinement
 
 SHOWS = ("fig:withWithoutConformal", "fig:controlEC", "fig:uniformRemesh", "fig:robustSSS", "fig:manyShapes",

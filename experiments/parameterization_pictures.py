@@ -25,8 +25,9 @@ from experiments.parameterization import (
     remeshed,
     uneven,
 )
-from neusub import Mesh, SelfParameterization, decimate, face_normals
+from neusub import Mesh, SelfParameterization, decimate
 from neusub.map_pictures import Surface, View, checkerboard, coloured_fine, edge_images, face_colors, surface_picture
+from neusub.metrics import face_normals
 from neusub.selfparam.parameterization import refinement
 
 FOLDER = HERE.parent / "docs" / "reproduction"

@@ -18,7 +18,8 @@ import numpy as np
 
 import neusub
 from experiments.common import parser_of, provenance, write_results
-from neusub import NeusubError, face_normals
+from neusub import NeusubError
+from neusub.metrics import face_normals
 
 SIZE, LEVELS = 500, 4
 

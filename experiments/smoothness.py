@@ -15,7 +15,7 @@ import numpy as np
 
 import neusub
 from experiments.common import HERE, parser_of, provenance, score, write_results
-from neusub import face_normals
+from neusub.metrics import face_normals
 
 FOLD = 120  # degrees
 TUBE = 0.4  # of the demo's ring, whose larger radius is 1

@@ -38,8 +38,9 @@ from experiments.common import (
     training_scores,
     write_results,
 )
-from neusub import PRESETS, PairConfig, TrainingResult, make_pairs, train
+from neusub import PRESETS, PairConfig, make_pairs, train
 from neusub.generation import read_header
+from neusub.training import TrainingResult
 
 SHOWS = ("tab:quantitative",)
 PARTS = {"top": ("centaur",), "bottom": ("centaur", "david", "horse")}
@@ -65,9 +66,9 @@ def trained(part: str, options: argparse.Namespace) -> tuple[TrainingResult, dic
     folder = options.runs / "table2" / (f"{part}-quick" if quick else part)
     report = make_pairs(sources, folder, config, strict=True, licence=TOSCA)
     files = [read_header(file)["report"] for file in report.train]
-    settings = replace(PRESETS["paper"], seed=options.seed, threads=options.threads, epochs=options.epochs)
+    settings = replace(PRESETS["paper"], seed=options.seed, threads=options.threads, epochs=options.epochs or 700)
     if options.loss == "surface":
-        settings = replace(settings, loss="surface", batch=2, schedule="cosine", epochs=min(options.epochs, 150))
+        settings = replace(settings, loss="surface", batch=2, schedule="cosine", epochs=options.epochs or 150)
         folder = folder.with_name(f"{folder.name}-surface")
     result = train(report.train, report.validation, Path(f"{folder}-run"), settings, resume=True, on_epoch=show)
     return result, {key: float(np.mean([file[key] for file in files])) for key in files[0]}
@@ -134,7 +135,7 @@ def main() -> None:
     parser.add_argument("tosca", type=Path)
     parser.add_argument("--inputs", type=Path, help="tosca8_coarse.npz, the eight fixed inputs")
     parser.add_argument("--part", choices=tuple(PARTS), default="top")
-    parser.add_argument("--epochs", type=int, default=700)
+    parser.add_argument("--epochs", type=int, help="700, or 150 of --loss surface")
     parser.add_argument("--loss", choices=("squared", "surface"), default="squared")
     parser.add_argument("--quick", action="store_true", help="20 pairs, 5 epochs, one pose a category; not written")
     options = parser.parse_args()

@@ -25,8 +25,8 @@ import neusub
 from experiments.common import parser_of, provenance, write_results
 from experiments.parameterization_pictures import FOLDER, OTHER, titled
 from experiments.variants import NETWORKS, Fit, fit, panel, refined, shrunk
-from neusub import Pair, PairConfig, TrainingConfig, load_pairs
-from neusub.generation import Batch, batch_pairs
+from neusub import PairConfig, TrainingConfig
+from neusub.generation import Batch, Pair, batch_pairs, load_pairs
 from neusub.map_pictures import View
 
 SHOWS = ("fig:toy_translation",)

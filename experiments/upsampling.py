@@ -30,8 +30,8 @@ from scipy.spatial import cKDTree
 import neusub
 from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, score, write_results
 from experiments.parameterization_pictures import CLAY, titled, write
-from neusub import sample_surface
 from neusub.map_pictures import Surface, View, surface_picture
+from neusub.metrics import sample_surface
 from neusub.topology import connected_components
 
 SHOWS = ("fig:ptUpsample", "app:pointUpsample")

@@ -18,10 +18,11 @@ from numpy import ndarray
 from PIL import Image
 from torch import Tensor, nn
 
-from neusub import Architecture, Mesh, Pair, TrainingConfig
+from neusub import Mesh, TrainingConfig
+from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, gather_corners, pool
 from neusub.frames import edge_vectors, in_frames, local_frames, sizes
-from neusub.generation import Batch
+from neusub.generation import Batch, Pair
 from neusub.map_pictures import Surface, View, surface_picture
 from neusub.network import HalfFlapMLP, NeuralSubdivision, Values
 from neusub.training import epoch_order, set_rate

@@ -58,7 +58,7 @@ def main() -> None:
     files, entries = sources_of(options.name, options.meshes, folder / "sources")
     licence = "; ".join(sorted({entry["licence"] for entry in entries}))
     report = neusub.make_pairs(files, folder / "pairs", PairConfig(total=200, validation=24, seed=options.seed),
-                               strict=True, licence=licence)
+                               workers=options.threads, strict=True, licence=licence)
     config = replace(PRESETS["paper"], batch=2, schedule="cosine", epochs=250, seed=options.seed,
                      threads=options.threads)
     result = neusub.train(report.train, report.validation, folder / "run", config, resume=True, on_epoch=show)
