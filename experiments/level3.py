@@ -57,7 +57,7 @@ def draw(model: neusub.Subdivider, folder: Path) -> Path:
     levels = model.subdivide(coarse, 3)
     panels = [titled(shaded(neusub.load(folder / SPOT), GREEN, PANEL, BACK), "the training shape"),
               titled(shaded(coarse, GREY, PANEL, edges=True), f"coarse, {len(coarse.vertices)} vertices")]
-    panels += [titled(shaded(mesh, BLUE, PANEL, edges=level < 3), f"level {level}")
+    panels += [titled(shaded(mesh, BLUE, PANEL, edges=level < 2), f"level {level}")
                for level, mesh in enumerate(levels[1:], start=1)]
     return write("level3", [panels])
 

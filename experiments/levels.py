@@ -90,7 +90,7 @@ def draw(folder: Path) -> Path:
     box = neusub.Mesh(corners, np.array([[0, 1, 2], [3, 2, 1], [4, 5, 6], [7, 6, 5]]))  # two sides have all corners
     view = View(box, (280, 225), CAMERA, (0, 1, 0))
     rows = []
-    for method in ("elephant", "elephant, then loop", "loop"):
+    for method in ("elephant", "elephant, then loop", "default", "loop"):
         meshes = refined(coarse, method, LEVELS)
         rows.append([titled(flat(meshes[level], view), f"{method}, level {level}") for level in range(2, LEVELS + 1)])
     return write("levels", rows)
