@@ -9,7 +9,7 @@ from jaxtyping import Float
 from torch import Tensor
 
 from neusub.flaps import FlapGroups, LevelFlaps, pool
-from neusub.frames import edge_vectors, local_frames, sizes
+from neusub.frames import cross, edge_vectors, local_frames, sizes
 
 __all__ = ["bounded", "flattened", "heights_of", "settled"]
 
@@ -95,7 +95,7 @@ def bounded(
     limit = torch.minimum(bound[0] * shortest, bound[1] * heights)
     if len(bound) > 2:
         longest = torch.maximum(squared[0], torch.maximum(squared[1:3], squared[3:]))
-        doubled = torch.linalg.cross(e1[None], edges[1:], dim=1).square().sum(1)
+        doubled = cross(e1, edges[1:]).square().sum(1)
         altitude = (doubled / longest.clamp(min=torch.finfo(move.dtype).tiny)).amin(0)
         limit = torch.minimum(limit, bound[2] * torch.segment_reduce(altitude, "min", offsets=groups.offsets).sqrt())
     ratio = move.square().sum(1) / limit.clamp(min=NOTHING).square()

@@ -12,7 +12,7 @@ from torch import Tensor
 
 from neusub.flaps import FlapGroups, gather_corners, pool
 
-__all__ = ["differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes", "vertex_normals"]
+__all__ = ["cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes", "vertex_normals"]
 
 
 def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
@@ -21,6 +21,13 @@ def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor,
     limit = torch.finfo(vector.dtype)
     defined = squared > (16 * limit.eps) ** 2 * size + limit.tiny
     return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined
+
+
+def cross(a: Float[Tensor, "*b 3 n"], b: Float[Tensor, "*b 3 n"]) -> Float[Tensor, "*b 3 n"]:
+    """Cross products; torch.linalg.cross is three to five times slower in this layout."""
+    a0, a1, a2 = a.unbind(-2)
+    b0, b1, b2 = b.unbind(-2)
+    return torch.stack([a1 * b2 - a2 * b1, a2 * b0 - a0 * b2, a0 * b1 - a1 * b0], dim=-2)
 
 
 def edge_vectors(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 3 n"]:
@@ -41,12 +48,12 @@ def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"],
     e1, e2, e3 = edges.unbind()
     lengths = edges.detach().square().sum(1, keepdim=True)
     x, has_edge = unit(e1, 0.0)
-    normals = torch.linalg.cross(torch.stack([e1, e3]), torch.stack([e2, e1]), dim=1)
+    normals = cross(torch.stack([e1, e3]), torch.stack([e2, e1]))
     normals, has_normal = unit(normals, lengths[:1] * lengths[1:])
     z, has_both = unit(normals.sum(0), 1.0)
     if not has_both.all():
         z = torch.where(has_both, z, torch.where(has_normal[0], normals[0], normals[1]))
-    return torch.stack([x, torch.linalg.cross(z, x, dim=0), z]), (has_edge & has_normal.any(0))[0]
+    return torch.stack([x, cross(z, x), z]), (has_edge & has_normal.any(0))[0]
 
 
 def sizes(edges: Float[Tensor, "3 3 n"]) -> Float[Tensor, " n"]:
