@@ -5,7 +5,8 @@
 
 MESHES holds INDEX.csv; taken are the manifold meshes of its group `lowpoly`, two levels.  Turned: level-2 triangles
 whose normal is more than 90 degrees from that of the cage's face that they come from.  Crossing: faces of the cage that
-cross no other one, but have a piece at level 2 that does (as pymeshlab finds them; midpoint has none, by definition).
+pymeshlab does not find to cross another one, but one of their pieces at level 2.  It reports neighbours in one plane,
+too (some of midpoint's pieces on every cage), so flat places count too many.
 Writes results/cages.json and, of each cage and its refinement by `default`, docs/reproduction/cages.png.
 """
 

@@ -1,6 +1,6 @@
 """A network trained on three levels against one trained on two, on the same coarse meshes of one shape.
 
-    python -m experiments level3 MESHES [--pairs 40 --epochs 80] [--quick]
+    python -m experiments level3 MESHES [--pairs 40 --epochs 40] [--quick]
 
 MESHES is the folder of INDEX.csv.  The paper's network on --pairs discretizations of 150 to 300 vertices of one shape,
 --epochs epochs of one mesh a step, cosine (the paper: 200 and 700, constant).  Scored on the organic shapes that
@@ -44,8 +44,10 @@ def scores(method: neusub.Subdivider | str, options: argparse.Namespace) -> dict
     rows: dict = {f"level {level}": {} for level in range(1, TESTED + 1)}
     for name in HELD_OUT["organic"][: 1 if options.quick else None]:
         fine, coarse = held_out(options.meshes, name)
-        levels = neusub.subdivide(coarse, method, TESTED) if isinstance(method, str) else \
-            method.subdivide(coarse, TESTED)  # type: ignore[arg-type]
+        if isinstance(method, str):
+            levels = neusub.subdivide(coarse, method, TESTED)  # type: ignore[arg-type]
+        else:
+            levels = method.subdivide(coarse, TESTED)
         for level, mesh in enumerate(levels[1:], start=1):
             rows[f"level {level}"][name] = {**percents(mesh, fine), "angle": float(angles(mesh).mean())}
     return {level: mean_of(shapes) for level, shapes in rows.items()}

@@ -8,6 +8,7 @@ import torch
 from jaxtyping import Float
 from torch import Tensor
 
+from neusub.configuration import Bound
 from neusub.flaps import FlapGroups, LevelFlaps, pool
 from neusub.frames import cross, edge_vectors, local_frames, sizes
 
@@ -78,7 +79,7 @@ def settled(
 
 def bounded(
     move: Float[Tensor, "m 3"], groups: FlapGroups, edges: Float[Tensor, "3 3 n"], heights: Float[Tensor, " m"],
-    bound: tuple[float, ...],
+    bound: Bound,
 ) -> Float[Tensor, "m 3"]:
     """Displacements shorter than bound[0] times the shortest edge of their half-flaps, bound[1] times the height and,
     where there is one, bound[2] times the smallest altitude of their triangles.
