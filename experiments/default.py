@@ -1,5 +1,5 @@
 """The default weights: sixteen shapes of free licence, stretched and bent copies of them, sharp solids, and closed-form
-surfaces, for both kinds of input.
+surfaces, for both kinds of input.  Two levels; three on the finest of the shapes and on closed forms.
 
     python -m experiments default MESHES --input on_surface --ship
     python -m experiments default MESHES --input decimated --ship
@@ -34,17 +34,20 @@ LICENCE = "CC BY 3.0, CC BY 4.0 or CC0: see the recipe"
 def sources_of(recipe: dict, meshes: Path, folder: Path) -> dict[str, list[Path]]:
     """The fine meshes as files: the recipe's with their altered copies, and the solids."""
     folder.mkdir(parents=True, exist_ok=True)
-    files: dict[str, list[Path]] = {"shapes": [], "solids": []}
+    files: dict[str, list[Path]] = {"shapes": [], "solids": [], "deep": []}
     for number, source in enumerate(recipe["sources"]):
         original = meshes / source["file"]
-        files["shapes"].append(original)
+        kinds = ["shapes", "deep"] if source.get("deep") else ["shapes"]
+        copies = [original]
         generator = np.random.default_rng([recipe["seed"], number])
         for copy in range(1, recipe["copies"]):
             path = folder / f"{original.stem}-{copy}.ply"
             mesh = stretched(neusub.load(original), generator)
             if source["file"].startswith("organic"):
                 mesh = bent(mesh, generator)
-            files["shapes"].append(written(mesh, path))
+            copies.append(written(mesh, path))
+        for kind in kinds:
+            files[kind] += copies
     for number in range(recipe["solids"]):
         files["solids"].append(written(solid(number, recipe["seed"]), folder / f"solid-{number}.ply"))
     return files
@@ -62,8 +65,8 @@ def pair_files(recipe: dict, meshes: Path, folder: Path) -> tuple[list[Path], li
     for kind, sources in sources_of(recipe, meshes, folder / "sources").items():
         plan = recipe["pairs"][kind]
         for strategy in recipe["strategies"]:
-            config = PairConfig(plan["per_mesh"], validation=plan["validation"], vertices=tuple(recipe["vertices"]),
-                                levels=recipe["levels"], strategy=strategy, seed=recipe["seed"])
+            config = PairConfig(plan["per_mesh"], validation=plan["validation"], vertices=tuple(plan["vertices"]),
+                                levels=plan["levels"], strategy=strategy, seed=recipe["seed"])
             report = make_pairs(sources, folder / f"{kind}-{strategy}", config,
                                 licence="MIT" if kind == "solids" else LICENCE)
             print(f"{kind}, {strategy}: {len(report.train)} files; failed: {report.failed}", flush=True)
@@ -72,13 +75,14 @@ def pair_files(recipe: dict, meshes: Path, folder: Path) -> tuple[list[Path], li
     return training, validation
 
 
-def closed_form_file(recipe: dict, folder: Path) -> Path:
+def closed_form_files(recipe: dict, folder: Path) -> list[Path]:
     """Pairs of surfaces of closed form; their coarse vertices lie on them, so they are for that kind of input only."""
-    wanted = recipe["closed_form"]
-    path = folder / "analytic-train.safetensors"
-    save_pairs(analytic_pairs(wanted["on_surface"], wanted["seed"], recipe["levels"]), path,
-               {"split": "train", "source": "experiments/analytic.py", "licence": "MIT", "seed": wanted["seed"]})
-    return path
+    files = []
+    for wanted in recipe["closed_form"]:
+        files.append(folder / f"analytic-{wanted['levels']}-train.safetensors")
+        save_pairs(analytic_pairs(wanted["pairs"], wanted["seed"], wanted["levels"]), files[-1],
+                   {"split": "train", "source": "experiments/analytic.py", "licence": "MIT", "seed": wanted["seed"]})
+    return files
 
 
 def card_of(card: dict, recipe: dict, kind: str) -> dict:
@@ -101,7 +105,7 @@ def main() -> None:
     recipe = json.loads((HERE / "recipes" / "default.json").read_text())
     training, validation = pair_files(recipe, options.meshes, options.runs / "default-pairs")
     if options.input == "on_surface":
-        training.append(closed_form_file(recipe, options.runs / "default-pairs"))
+        training += closed_form_files(recipe, options.runs / "default-pairs")
     config = replace(PRESETS["default"], input=options.input, epochs=options.epochs, seed=options.seed,
                      threads=options.threads)
     folder = options.runs / f"default-{options.input}-{options.seed}"

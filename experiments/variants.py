@@ -38,8 +38,8 @@ class EdgesOnly(HalfFlapMLP):
     def __init__(self, plan: Architecture, features: int, vectors: int):
         super().__init__(plan, features, 0)
 
-    def forward(self, groups, positions, values, heights=None, learns=True):
-        return super().forward(groups, positions, Values(None, None), heights, learns)
+    def forward(self, groups, positions, values, around=None, learns=True):
+        return super().forward(groups, positions, Values(None, None), around, learns)
 
 
 class Repeated(HalfFlapMLP):
@@ -49,32 +49,32 @@ class Repeated(HalfFlapMLP):
         super().__init__(plan, features, vectors)
         self.steps = steps
 
-    def forward(self, groups, positions, values, heights=None, learns=True):
+    def forward(self, groups, positions, values, around=None, learns=True):
         moved = positions
         for _ in range(self.steps):
-            move, values, heights = super().forward(groups, moved, values, heights, learns)
+            move, values, around = super().forward(groups, moved, values, around, learns)
             moved = moved + move
-        return moved - positions if self.steps > 1 else move, values, heights
+        return moved - positions if self.steps > 1 else move, values, around
 
 
 class VerticesFromLoop(HalfFlapMLP):
     """Displacements of old vertices from where Loop's rule takes them; for closed meshes."""
 
-    def forward(self, groups, positions, values, heights=None, learns=True):
-        move, values, heights = super().forward(groups, positions, values, heights, learns)
+    def forward(self, groups, positions, values, around=None, learns=True):
+        move, values, around = super().forward(groups, positions, values, around, learns)
         valence = groups.offsets.diff()[:, None].to(positions.dtype)
         to_mean = pool(groups, edge_vectors(groups, positions)[0].T.contiguous()) / valence
         share = 5 / 8 - (3 / 8 + torch.cos(2 * torch.pi / valence) / 4).square()
-        return move + share * to_mean, values, heights
+        return move + share * to_mean, values, around
 
 
 class EdgesFromLoop(HalfFlapMLP):
     """Displacements of new vertices from where Loop's rule puts them (3/8, 3/8, 1/8, 1/8) instead of the midpoint."""
 
-    def forward(self, groups, positions, values, heights=None, learns=True):
-        move, values, heights = super().forward(groups, positions, values, heights, learns)
+    def forward(self, groups, positions, values, around=None, learns=True):
+        move, values, around = super().forward(groups, positions, values, around, learns)
         along, left, right = edge_vectors(groups, positions)
-        return move + pool(groups, ((left + right - along) / 8).T.contiguous()) / 2, values, heights
+        return move + pool(groups, ((left + right - along) / 8).T.contiguous()) / 2, values, around
 
 
 class Plain(HalfFlapMLP):
@@ -100,7 +100,7 @@ class Plain(HalfFlapMLP):
             edges = torch.cat([edges, gather_corners(groups, vectors)])
         return in_frames(edges, axes).T
 
-    def forward(self, groups, positions, values, heights=None, learns=True):
+    def forward(self, groups, positions, values, around=None, learns=True):
         edges = edge_vectors(groups, positions)
         axes = local_frames(edges)[0]
         rows = self.seen(groups, edges, axes, positions, values.vectors)

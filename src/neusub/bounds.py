@@ -1,5 +1,6 @@
 """What keeps a trained network in check on meshes and levels that its training had none of: bounds of displacements,
-fading, and Loop's points where the surface is nearly flat.  Not in the paper.
+fading on flat faces and around their sharp edges, and Loop's points where the surface is nearly flat.  Not in the
+paper.
 """
 
 from __future__ import annotations
@@ -9,10 +10,12 @@ from jaxtyping import Float
 from torch import Tensor
 
 from neusub.configuration import Bound
-from neusub.flaps import FlapGroups, LevelFlaps, pool
-from neusub.frames import cross, edge_vectors, local_frames, sizes
+from neusub.flaps import FlapGroups, LevelFlaps, by_columns, pool
+from neusub.frames import cross, edge_vectors, local_frames, sizes, turns
 
-__all__ = ["bounded", "flattened", "heights_of", "settled"]
+__all__ = ["around_edges", "around_vertices", "bounded", "flattened", "settled"]
+
+SHARP = 0.34, 0.5  # sines of half the angles, 40 and 60 degrees, below which no edge is sharp, above which each is
 
 NOTHING = 1e-6  # a bound below this, of a mesh at the training's scale, is that of a flat patch
 
@@ -21,6 +24,42 @@ def heights_of(groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Te
     """How far the surface around each vertex is from flat: the largest height of v2 or v3 over the frame's plane."""
     heights = (edges[1:] * axes[2]).sum(1).abs().amax(0)
     return torch.segment_reduce(heights, "max", offsets=groups.offsets)
+
+
+def around_vertices(
+    groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"], sharp: float
+) -> Float[Tensor, "nV 1"] | Float[Tensor, "nV 3"]:
+    """What displacements depend on: the height of each vertex and, if sharp, the factors of displacements of its edges
+    and of itself, from 1 down to 0 around sharp edges of flat faces.
+
+    The vertex stays on a straight sharp edge between two flat faces, and at a corner of three; of an edge that ends on
+    such an edge both faces are flat, so its middle stays too.  Only angles as large as SHARP count: the strips of a
+    cylinder are flat faces too.  `sharp` is the sine of half an angle at a third (or fourth) edge that halves the hold.
+    """
+    heights = heights_of(groups, edges, axes)[:, None]
+    if not sharp:
+        return heights
+    _, second, third, fourth = turns(groups, edges, axes).T
+
+    def factor(turning: Tensor, left: Tensor) -> Tensor:
+        sure = ((turning - SHARP[0]) / (SHARP[1] - SHARP[0])).clamp(0, 1)
+        return 1 - sure * (sharp**2 / (left.square() + sharp**2))
+
+    on_edge, at_corner = factor(2 * second, third), factor(3 * third, fourth)  # of equal s the factors make one s
+    return torch.cat([heights, on_edge[:, None], torch.minimum(on_edge, at_corner)[:, None]], dim=1)
+
+
+def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | Float[Tensor, "nE 3"]:
+    """The same of edges, from that `around_vertices`; the last column is the factor of their displacement.
+
+    One end on a straight sharp edge holds the middle; of two corners both are needed, for one may be a pointed tip.
+    """
+    ends = around[groups.corners[::2, :2]]  # the same from both half-flaps
+    most = ends.amax(dim=1)
+    if around.shape[1] == 1:
+        return most
+    factor = torch.minimum(ends[..., 1].amin(dim=1), most[:, 2])
+    return torch.cat([most[:, :2], factor[:, None]], dim=1)
 
 
 def flattened(
@@ -41,19 +80,21 @@ def means_of(groups: FlapGroups, size: Float[Tensor, " n"]) -> Float[Tensor, " m
 
 
 def settled(
-    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float
+    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float, sharp: float
 ) -> Float[Tensor, "nV+nE 3"]:
     """A level's vertices, drawn to those of Loop's scheme where the surface before was nearly flat.
 
     The share of `after` is h / (h + settle) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
     comes to the same there; Loop's limit is smooth around irregular vertices too.  Along a boundary it is Loop's curve
-    rule; the height there is at least h (h / edge), h from the neighbours' middle: bends go, corners stay.
+    rule; the height there is at least h (h / edge), h from the neighbours' middle: bends go, corners stay.  What
+    `around_vertices` holds, stays as it is.
     """
-    points, shares = [], []
+    points, shares, columns = [], [], by_columns(before)
     for part in level.by_vertex.chunks():
-        edges = edge_vectors(part, before)
+        edges = edge_vectors(part, columns)
         size = sizes(edges)
-        heights = heights_of(part, edges, local_frames(edges)[0])
+        around = around_vertices(part, edges, local_frames(edges)[0], sharp)
+        heights = around[:, 0].contiguous()
         valence = part.offsets.diff().to(before.dtype)
         beta = 5 / 8 - (3 / 8 + torch.cos(2 * torch.pi / valence) / 4).square()
         move = pool(part, edges[0].T.contiguous()) * (beta / valence)[:, None]
@@ -64,7 +105,8 @@ def settled(
             move = torch.where(boundary[:, None], curve / 4, move)
             heights = torch.maximum(heights, curve.square().sum(1) / means_of(part, size))
         points.append(move)
-        shares.append(flattened(heights, part, size, settle))
+        share = flattened(heights, part, size, settle)
+        shares.append(1 - (1 - share) * around[:, -1] if sharp else share)
     points = [before + torch.cat(points)]
     for part in level.by_edge.chunks():
         ends, wings = before[part.corners[::2]].split(2, dim=1)  # the same from both half-flaps

@@ -26,7 +26,9 @@ class Architecture:
     relative: bool = False  # lengths of each half-flap in units of its own mean edge: the network knows no scale
     residual: bool = False  # modules add to a vertex's features and vectors, instead of replacing them
     activation: Literal["relu", "silu"] = "relu"
+    turns: bool = False  # the input's vertices bring at how many edges the surface turns, and how far (`frames.py`)
     flat: float = 0.0  # displacements fade with heights below this many edges; 0: they do not (`bounds.py`)
+    sharp: float = 0.0  # and around sharp edges of faces that are flat to this sine; 0: they do not (`bounds.py`)
     bound: Bound | None = None  # of displacements (`bounds.py`)
     trained: int = 2  # levels; beyond them `settle` acts
     settle: float = 0.0  # vertices go over to Loop's points where heights are below this many edges; 0: they do not
@@ -43,7 +45,7 @@ class TrainingConfig:
     batch: int = 1  # meshes a step
     learning_rate: float = 2e-3
     schedule: Literal["constant", "cosine"] = "constant"  # cosine goes down to zero at the last epoch
-    levels: int = 2
+    levels: int = 2  # at most; pairs with fewer are taken as deep as they are
     shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
@@ -72,9 +74,10 @@ class TrainingConfig:
 PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
-    "default": TrainingConfig(batch=2, schedule="cosine", epochs=90, learning_rate=1e-3, shallow=0.6, loss="surface",
-                              network=Architecture(64, 48, vectors=4, relative=True, residual=True, activation="silu",
-                                                   flat=0.3, bound=(0.5, 0.6)),
+    "default": TrainingConfig(batch=2, schedule="cosine", epochs=36, learning_rate=1e-3, levels=3, shallow=0.6,
+                              loss="surface",
+                              network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
+                                                   turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
                               bound=(0.25, 0.6, 0.3), settle=0.05),
 }
 

@@ -10,9 +10,14 @@ import torch
 from jaxtyping import Bool, Float
 from torch import Tensor
 
-from neusub.flaps import FlapGroups, gather_corners, pool
+from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
-__all__ = ["cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes", "vertex_normals"]
+__all__ = [
+    "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes", "turns",
+    "vertex_normals", "vertex_turns",
+]
+
+TURNS = 4  # numbers of `turns`
 
 
 def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
@@ -66,8 +71,10 @@ def sizes(edges: Float[Tensor, "3 3 n"]) -> Float[Tensor, " n"]:
 def in_frames(vectors: Float[Tensor, "k 3 n"], axes: Float[Tensor, "3 3 n"]) -> Float[Tensor, "3*k n"]:
     """Coordinates of k vectors of each half-flap along its axes."""
     vectors = vectors[:, None]
-    dots = torch.addcmul(vectors[:, :, 0] * axes[:, 0], vectors[:, :, 1], axes[:, 1])
-    return torch.addcmul(dots, vectors[:, :, 2], axes[:, 2]).flatten(0, 1)
+    dots = vectors[:, :, 0] * axes[:, 0]
+    for k in (1, 2):
+        dots.addcmul_(vectors[:, :, k], axes[:, k])
+    return dots.flatten(0, 1)
 
 
 def differential_coordinates(
@@ -78,7 +85,7 @@ def differential_coordinates(
     A boundary vertex counts the reflected vertices of `edge_vectors` among its neighbours: on a straight border of a
     regular flat patch it then has none, like a vertex inside, and the border is not drawn inwards.
     """
-    parts = []
+    parts, positions = [], by_columns(positions)
     for part in groups.chunks():
         edges = edge_vectors(part, positions)
         use = torch.ones_like(edges[:, :1])
@@ -94,9 +101,41 @@ def differential_coordinates(
 
 def vertex_normals(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "nV 3"]:
     """The direction of the sum of z over a vertex's half-flaps; zero where they cancel."""
-    parts = []
+    parts, positions = [], by_columns(positions)
     for part in groups.chunks():
         axes, defined = local_frames(edge_vectors(part, positions))
         total = pool(part, torch.where(defined, axes[2], 0).T.contiguous())
         parts.append(unit(total.T, 1.0)[0].T)
+    return torch.cat(parts)
+
+
+def turns(
+    groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"]
+) -> Float[Tensor, "nV 4"]:
+    """At how many of a vertex's edges the surface turns, and how far; of its half-flaps' edges and frames.
+
+    With s the sine of half the angle between the two faces of an edge, and e1 .. e4 the elementary symmetric
+    polynomials of a vertex's s: their mean, e2 / e1, e3 / e2 and e4 / e3.  Each ratio is as large as the next largest s
+    where those before are much larger.  So the third number is zero on a sharp edge between flat faces, where the
+    surface turns at two edges, and the fourth at a corner of three such faces.
+    """
+    sideways, up = (edges[1:] * axes[1]).sum(1).square(), (edges[1:] * axes[2]).sum(1).square()
+    least = torch.finfo(up.dtype).tiny
+    squared = (up / (sideways + up).clamp(min=least)).amax(0)
+    s = squared.sqrt()
+    p1, p2, p3, p4 = pool(groups, torch.stack([s, squared, squared * s, squared.square()], dim=1)).T
+    e2 = (p1 * p1 - p2) / 2  # from the sums of powers, by Newton's identities
+    e3 = (e2 * p1 - p1 * p2 + p3) / 3
+    e4 = (e3 * p1 - e2 * p2 + p1 * p3 - p4) / 4
+    rounding = 1e-4 * p1  # a polynomial that is small beside this power of the sum may be nothing else
+    ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
+    return torch.stack([p1 / groups.offsets.diff(), *(ratio.clamp(min=0) for ratio in ratios)], dim=1)
+
+
+def vertex_turns(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "nV 4"]:
+    """`turns` of positions."""
+    parts, positions = [], by_columns(positions)
+    for part in groups.chunks():
+        edges = edge_vectors(part, positions)
+        parts.append(turns(part, edges, local_frames(edges)[0]))
     return torch.cat(parts)

@@ -320,8 +320,6 @@ def scaled(pair: Pair, factor: float) -> Pair:
 
 
 def shortened(pair: Pair, levels: int) -> Pair:
-    """The pair with its first `levels` levels only.  Raises PairFileError where it has fewer."""
-    if levels > pair.levels:
-        raise PairFileError(f"pair {pair.name!r} has {pair.levels} levels, {levels} were asked for.")
+    """The pair with its first `levels` levels only; the pair itself where it has no more."""
     sizes = pair.level_sizes[: levels + 1]
     return replace(pair, targets=pair.targets[: sizes[-1]], level_sizes=sizes)

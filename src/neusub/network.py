@@ -22,10 +22,19 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import linear, relu, silu
 
-from neusub.bounds import bounded, flattened, heights_of, settled
+from neusub.bounds import around_edges, around_vertices, bounded, flattened, settled
 from neusub.configuration import Architecture
-from neusub.flaps import FlapGroups, LevelFlaps, gather_corners, pool, sum_slots
-from neusub.frames import differential_coordinates, edge_vectors, in_frames, local_frames, sizes, vertex_normals
+from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, pool, sum_slots
+from neusub.frames import (
+    TURNS,
+    differential_coordinates,
+    edge_vectors,
+    in_frames,
+    local_frames,
+    sizes,
+    vertex_normals,
+    vertex_turns,
+)
 
 __all__ = ["HalfFlapMLP", "NeuralSubdivision"]
 
@@ -57,66 +66,70 @@ class HalfFlapMLP(nn.Module):
         self.first = nn.Linear(9 + 4 * (features + 3 * vectors), plan.width)
         self.hidden = nn.Linear(plan.width, plan.width)
         self.last = nn.Linear(plan.width, 3 + 3 * plan.vectors + plan.features)
-        self.activation = {"relu": relu, "silu": silu}[plan.activation]
+        self.activate = {"relu": relu, "silu": silu}[plan.activation]
         for layer in (self.first, self.hidden, self.last):
             nn.init.xavier_normal_(layer.weight)
             nn.init.zeros_(layer.bias)
 
     def forward(
         self, groups: FlapGroups, positions: Float[Tensor, "nV 3"], values: Values,
-        heights: Float[Tensor, " nV"] | None = None, learns: bool = True,
-    ) -> tuple[Float[Tensor, "m 3"], Values, Float[Tensor, " m"] | None]:
+        around: Float[Tensor, "nV k"] | None = None, learns: bool = True,
+    ) -> tuple[Float[Tensor, "m 3"], Values, Float[Tensor, "m k"] | None]:
         """Mean displacement of each group, in the axes of `positions`, its mean features and vectors (`learns`), and,
-        where displacements depend on it, its height: of its vertex, or from the `heights` of its two ends."""
+        where displacements depend on it, what is `around` it (`bounds.py`): its vertex, or the two ends of its edge."""
         corner = self.features + 3 * self.vectors
         columns = self.first.weight.split([corner, 3] * 3 + [corner], dim=1)
-        turned = torch.cat([*columns[1::2], *(column[:, self.features :] for column in columns[::2])], dim=1)
+        turned = torch.cat(columns[1::2], dim=1), torch.cat([c[:, self.features :] for c in columns[::2]], dim=1)
         table, vectors = values
         if table is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
             bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
             fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
             table = linear(table, fixed, bias).view(-1, len(self.first.bias))
+        positions, vectors = by_columns(positions), None if vectors is None else by_columns(vectors)
         parts = groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]
-        results = [self._part(part, positions, table, vectors, heights, turned, learns) for part in parts]
-        moves, features, vectors, heights = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
-                                             for rows in zip(*results))
-        return moves, Values(features, vectors), heights  # type: ignore[return-value]
+        results = [self._part(part, positions, table, vectors, around, turned, learns) for part in parts]
+        moves, features, vectors, around = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
+                                            for rows in zip(*results))
+        return moves, Values(features, vectors), around  # type: ignore[return-value]
 
-    def _part(self, groups, positions, table, vectors, heights, turned, learns):
+    def _part(self, groups, positions, table, vectors, around, turned, learns):
         edges = edge_vectors(groups, positions)
         axes, defined = local_frames(edges)
         size = sizes(edges) if self.plan.relative else None
-        seen = edges if size is None else edges / size
+        seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
+        hidden = torch.addmm(self.first.bias if table is None else sum_slots(groups, table), seen, turned[0].T)
         if vectors is not None:
-            seen = torch.cat([seen, gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)])
-        rows = self.first.bias if table is None else sum_slots(groups, table)
-        hidden = torch.addmm(rows, in_frames(seen, axes).T, turned.T)
-        hidden = self.activation(self.hidden(self.activation(hidden)))
+            seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
+            hidden.addmm_(in_frames(seen, axes).T, turned[1].T)
+        hidden = self.activate(self.hidden(self.activate(hidden, inplace=spare)), inplace=spare)
         count = groups.offsets.diff().to(hidden.dtype)[:, None]
         if not defined.all():  # half-flaps without a frame are left out of the mean
             hidden = hidden * defined[:, None]
             axes = torch.where(defined, axes, 0)
             count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
         given = 3 + 3 * self.plan.vectors if learns else 3
-        local = linear(hidden, self.last.weight[:given], self.last.bias[:given]).T.unflatten(0, (-1, 3)).contiguous()
+        local = torch.addmm(self.last.bias[:given, None], self.last.weight[:given], hidden.T).unflatten(0, (-1, 3))
         if size is not None:
-            local = torch.cat([local[:1] * size, local[1:]])
+            local[0].mul_(size)
         mean = pool(groups, in_frames(local, axes.transpose(0, 1)).T.contiguous()) / count
         move, learned = mean[:, :3], mean[:, 3:] if given > 3 else None
         features = None
         if learns:  # the last layer is linear: the mean of its features is its value at the mean
             features = linear(pool(groups, hidden) / count, self.last.weight[given:], self.last.bias[given:])
-        if self.bound is None and not self.plan.flat:
+        if self.bound is None and not self.plan.flat and not self.plan.sharp:
             return move, features, learned, None
-        if heights is None:
-            heights = heights_of(groups, edges.detach(), axes.detach())
+        if around is None:
+            around = around_vertices(groups, edges.detach(), axes.detach(), self.plan.sharp)
         else:
-            heights = torch.segment_reduce(heights[groups.corners[:, 0]], "max", offsets=groups.offsets)
+            around = around_edges(groups, around)
+        heights = around[:, 0].contiguous()
+        if self.plan.sharp:
+            move = move * around[:, -1:]
         if self.plan.flat:
             move = move * flattened(heights, groups, sizes(edges) if size is None else size, self.plan.flat)[:, None]
         if self.bound is not None:
             move = bounded(move, groups, edges.detach(), heights, self.bound)
-        return move, features, learned, heights
+        return move, features, learned, around
 
 
 class NeuralSubdivision(nn.Module):
@@ -125,7 +138,7 @@ class NeuralSubdivision(nn.Module):
     def __init__(self, plan: Architecture | None = None):
         super().__init__()
         self.plan = plan = plan or Architecture()
-        self.initial = HalfFlapMLP(plan, 0, 2 if plan.vectors else 1)
+        self.initial = HalfFlapMLP(plan, TURNS if plan.turns else 0, 2 if plan.vectors else 1)
         self.vertex = HalfFlapMLP(plan, plan.features, plan.vectors)
         self.edge = HalfFlapMLP(plan, plan.features, plan.vectors)
 
@@ -141,19 +154,20 @@ class NeuralSubdivision(nn.Module):
         vectors = differential_coordinates(first, positions, self.plan.relative)
         if self.plan.vectors:
             vectors = torch.cat([vectors, vertex_normals(first, positions)], dim=1)
-        move, values, _ = self.initial(first, positions, Values(None, vectors))
+        seen = vertex_turns(first, positions) if self.plan.turns else None
+        move, values, _ = self.initial(first, positions, Values(seen, vectors))
         positions = put(positions + move, given[0])
         outputs = [positions]
         for k, level in enumerate(levels):
             before = positions
-            move, learned, heights = self.vertex(level.by_vertex, positions, values)
+            move, learned, around = self.vertex(level.by_vertex, positions, values)
             values = self._added(values, learned)
             positions = put(positions + move, given[k])
             is_last = k + 1 == len(levels)
-            move, learned, _ = self.edge(level.by_edge, positions, values, heights, learns=not is_last)
+            move, learned, _ = self.edge(level.by_edge, positions, values, around, learns=not is_last)
             positions = torch.cat([positions, means(level, positions) + move])
             if self.plan.settle and k >= self.plan.trained:
-                positions = settled(level, before, positions, self.plan.settle)
+                positions = settled(level, before, positions, self.plan.settle, self.plan.sharp)
             positions = put(positions, given[k + 1])
             outputs.append(positions)
             if not is_last:

@@ -23,7 +23,7 @@ from torch import Tensor
 
 from neusub import __version__
 from neusub.configuration import PRESETS, TrainingConfig
-from neusub.errors import TrainingError
+from neusub.errors import PairFileError, TrainingError
 from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, scaled, shortened
 from neusub.network import NeuralSubdivision
@@ -78,6 +78,10 @@ class _Run:
         files = [*train_files, *validation_files]
         data = [{**read_header(f), "file": Path(f).name, "hash": file_hash(f)} for f in files]
         pairs = read_pairs(train_files, config)
+        deepest = max(pair.levels for pair in pairs)
+        if deepest < config.levels:
+            raise PairFileError(f"no pair has more than {deepest} levels, {config.levels} were asked for. Train on "
+                                "fewer (--levels), or make deeper pairs.")
         fabric = Fabric(accelerator=resolve_device(config.device), devices=1, precision=config.precision)  # type: ignore[arg-type]
         torch.manual_seed(config.seed)
         network = NeuralSubdivision(config.network)
@@ -168,7 +172,7 @@ def train(
 
 
 def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair]:
-    """The pairs, with as many levels as are trained; for a network that knows no scale, each at the same scale."""
+    """The pairs, with at most the levels that are trained; for a network that knows no scale, each at the same scale."""
     pairs = [shortened(pair, config.levels) for file in files for pair in load_pairs(file)]
     return [scaled(pair, EDGE / mean_coarse_edge([pair])) for pair in pairs] if config.network.relative else pairs
 
@@ -217,7 +221,8 @@ def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
 
 
 class _Batches:
-    """The training pairs in fixed groups, made once and kept; only their order changes from epoch to epoch.
+    """The training pairs in fixed groups of equal depth, made once and kept; only their order changes from epoch to
+    epoch.
 
     Unions that changed with the epoch were a quarter slower, as each had to be sorted anew.
     """
@@ -226,7 +231,9 @@ class _Batches:
         self.pairs, self.config, self.device = pairs, config, device
         count = len(pairs)
         order = np.arange(count) if config.batch == 1 else np.random.default_rng(config.seed).permutation(count)
-        self.groups = [order[i : i + config.batch] for i in range(0, len(order), config.batch)]
+        depths = np.array([pair.levels for pair in pairs])
+        self.groups = [alike[i : i + config.batch] for depth in np.unique(depths)
+                       for alike in (order[depths[order] == depth],) for i in range(0, len(alike), config.batch)]
         self.kept: dict[int, Batch] = {}
 
     def epoch(self, epoch: int) -> Iterator[tuple[Batch, int, int]]:
@@ -238,7 +245,7 @@ class _Batches:
                 batch = batch_pairs([self.pairs[i] for i in self.groups[k]], self.config.input, self.device)
                 if len(self.pairs) <= KEPT_PAIRS:
                     self.kept[k] = batch
-            yield batch, len(self.groups[k]), 1 if stops[k] else self.config.levels
+            yield batch, len(self.groups[k]), 1 if stops[k] else len(batch.levels)
 
 
 # --- checkpoints and logs ----------------------------------------------------------------------------------------
