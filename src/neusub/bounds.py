@@ -28,38 +28,44 @@ def heights_of(groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Te
 
 def around_vertices(
     groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"], sharp: float
-) -> Float[Tensor, "nV 1"] | Float[Tensor, "nV 3"]:
-    """What displacements depend on: the height of each vertex and, if sharp, the factors of displacements of its edges
-    and of itself, from 1 down to 0 around sharp edges of flat faces.
+) -> Float[Tensor, "nV 1"] | Float[Tensor, "nV 5"]:
+    """What displacements depend on: the height of each vertex and, if `sharp`, how much it is not held by what is
+    around it, from 1 down to 0 where it lies exactly: on a straight sharp edge between two flat faces, at a corner of
+    three, inside one; at last the factor of its own displacement, the smaller of the first two.
 
-    The vertex stays on a straight sharp edge between two flat faces, and at a corner of three; of an edge that ends on
-    such an edge both faces are flat, so its middle stays too.  Only angles as large as SHARP count: the strips of a
-    cylinder are flat faces too.  `sharp` is the sine of half an angle at a third (or fourth) edge that halves the hold.
+    Edges are sharp from angles as large as SHARP on, for the strips of a cylinder are flat faces too.  `sharp` is the
+    sine of half the angle, at an edge where the surface should not turn, that halves the hold.
     """
     heights = heights_of(groups, edges, axes)[:, None]
     if not sharp:
         return heights
-    _, second, third, fourth = turns(groups, edges, axes).T
+    mean, second, third, fourth = turns(groups, edges, axes).T
 
-    def factor(turning: Tensor, left: Tensor) -> Tensor:
+    def free(left: Tensor, turning: Tensor) -> Tensor:
         sure = ((turning - SHARP[0]) / (SHARP[1] - SHARP[0])).clamp(0, 1)
-        return 1 - sure * (sharp**2 / (left.square() + sharp**2))
+        return 1 - sure * held(left)
 
-    on_edge, at_corner = factor(2 * second, third), factor(3 * third, fourth)  # of equal s the factors make one s
-    return torch.cat([heights, on_edge[:, None], torch.minimum(on_edge, at_corner)[:, None]], dim=1)
+    def held(left: Tensor) -> Tensor:
+        return sharp**2 / (left.square() + sharp**2)
+
+    on_edge, at_corner = free(third, 2 * second), free(fourth, 3 * third)  # of equal s the factors make one s
+    return torch.cat([heights, torch.stack([on_edge, at_corner, 1 - held(mean), torch.minimum(on_edge, at_corner)], 1)],
+                     dim=1)
 
 
-def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | Float[Tensor, "nE 3"]:
-    """The same of edges, from that `around_vertices`; the last column is the factor of their displacement.
+def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | Float[Tensor, "nE 2"]:
+    """The same of edges, from that of their ends: the height, and the factor of their displacement.
 
-    One end on a straight sharp edge holds the middle; of two corners both are needed, for one may be a pointed tip.
+    Both faces of an edge are flat where one end is on a sharp edge between flat faces.  They are at a corner too, but
+    that may be a pointed tip of something round: the other end must be at a corner as well, or inside a flat face.
     """
-    ends = around[groups.corners[::2, :2]]  # the same from both half-flaps
-    most = ends.amax(dim=1)
+    a, b = around[groups.corners[::2, :2]].unbind(dim=1)  # the same from both half-flaps
+    most = torch.maximum(a, b)
     if around.shape[1] == 1:
         return most
-    factor = torch.minimum(ends[..., 1].amin(dim=1), most[:, 2])
-    return torch.cat([most[:, :2], factor[:, None]], dim=1)
+    tips = [torch.maximum(end[:, 2], torch.minimum(other[:, 2], other[:, 3])) for end, other in ((a, b), (b, a))]
+    factor = torch.stack([a[:, 1], b[:, 1], *tips]).amin(dim=0)
+    return torch.stack([most[:, 0], factor], dim=1)
 
 
 def flattened(

@@ -154,7 +154,7 @@ class NeuralSubdivision(nn.Module):
         vectors = differential_coordinates(first, positions, self.plan.relative)
         if self.plan.vectors:
             vectors = torch.cat([vectors, vertex_normals(first, positions)], dim=1)
-        seen = vertex_turns(first, positions) if self.plan.turns else None
+        seen = vertex_turns(first, positions.detach()) if self.plan.turns else None
         move, values, _ = self.initial(first, positions, Values(seen, vectors))
         positions = put(positions + move, given[0])
         outputs = [positions]

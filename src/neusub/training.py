@@ -172,7 +172,7 @@ def train(
 
 
 def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair]:
-    """The pairs, with at most the levels that are trained; for a network that knows no scale, each at the same scale."""
+    """The pairs, with at most the trained levels; for a network that knows no scale, each at the same scale."""
     pairs = [shortened(pair, config.levels) for file in files for pair in load_pairs(file)]
     return [scaled(pair, EDGE / mean_coarse_edge([pair])) for pair in pairs] if config.network.relative else pairs
 
