@@ -5,7 +5,7 @@ import pytest
 import torch
 
 import shapes
-from neusub.bounds import SHARP, around_edges, around_vertices
+from neusub.bounds import around_edges, around_vertices
 from neusub.frames import edge_vectors, local_frames, vertex_turns
 from neusub.mesh import Mesh
 from neusub.schemes import subdivide_classic, subdivision_matrix

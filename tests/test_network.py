@@ -12,10 +12,7 @@ from neusub.configuration import PRESETS, Architecture
 from neusub.flaps import level_flaps
 from neusub.frames import differential_coordinates
 from neusub.generation import Batch, Pair, batch_pairs
-from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
-from neusub.schemes import subdivide_classic, subdivision_matrix
-from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
 
 GOLDEN_FILES = ("valid_001", "valid_005", "test_bunny", "test_horse")
