@@ -21,7 +21,7 @@ from torch import Tensor, nn
 from neusub import Mesh, TrainingConfig
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, gather_corners, pool
-from neusub.frames import edge_vectors, in_frames, local_frames, sizes
+from neusub.frames import edge_vectors, in_frames, local_frames, sizes, squared_lengths
 from neusub.generation import Batch, Pair
 from neusub.map_pictures import Surface, View, surface_picture
 from neusub.network import HalfFlapMLP, NeuralSubdivision, Values
@@ -110,7 +110,7 @@ class Plain(HalfFlapMLP):
         out = self.last(hidden)
         move, features = out[:, :3], out[:, 3:]
         if self.scales:
-            move = move * sizes(edges)[:, None]
+            move = move * sizes(squared_lengths(edges))[:, None]
         if self.turns:
             move = in_frames(move.T[None].contiguous(), axes.transpose(0, 1)).T
         count = groups.offsets.diff().to(out.dtype)[:, None]

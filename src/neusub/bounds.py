@@ -11,7 +11,7 @@ from torch import Tensor
 
 from neusub.configuration import Bound
 from neusub.flaps import FlapGroups, LevelFlaps, by_columns, pool
-from neusub.frames import cross, edge_vectors, local_frames, sizes, turns
+from neusub.frames import edge_vectors, local_frames, sizes, squared_lengths, turns
 
 __all__ = ["around_edges", "around_vertices", "bounded", "flattened", "settled"]
 
@@ -36,9 +36,9 @@ def around_vertices(
     Edges are sharp from angles as large as SHARP on, for the strips of a cylinder are flat faces too.  `sharp` is the
     sine of half the angle, at an edge where the surface should not turn, that halves the hold.
     """
-    heights = heights_of(groups, edges, axes)[:, None]
+    heights = heights_of(groups, edges, axes)
     if not sharp:
-        return heights
+        return heights[:, None]
     mean, second, third, fourth = turns(groups, edges, axes).T
 
     def free(left: Tensor, turning: Tensor) -> Tensor:
@@ -49,8 +49,7 @@ def around_vertices(
         return sharp**2 / (left.square() + sharp**2)
 
     on_edge, at_corner = free(third, 2 * second), free(fourth, 3 * third)  # of equal s the factors make one s
-    return torch.cat([heights, torch.stack([on_edge, at_corner, 1 - held(mean), torch.minimum(on_edge, at_corner)], 1)],
-                     dim=1)
+    return torch.stack([heights, on_edge, at_corner, 1 - held(mean), torch.minimum(on_edge, at_corner)]).T
 
 
 def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | Float[Tensor, "nE 2"]:
@@ -59,13 +58,15 @@ def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | 
     Both faces of an edge are flat where one end is on a sharp edge between flat faces.  They are at a corner too, but
     that may be a pointed tip of something round: the other end must be at a corner as well, or inside a flat face.
     """
-    a, b = around[groups.corners[::2, :2]].unbind(dim=1)  # the same from both half-flaps
-    most = torch.maximum(a, b)
-    if around.shape[1] == 1:
-        return most
-    tips = [torch.maximum(end[:, 2], torch.minimum(other[:, 2], other[:, 3])) for end, other in ((a, b), (b, a))]
-    factor = torch.stack([a[:, 1], b[:, 1], *tips]).amin(dim=0)
-    return torch.stack([most[:, 0], factor], dim=1)
+    ends = groups.corners[::2, :2].T  # the same from both half-flaps
+    a, b = around.T.index_select(1, ends.reshape(-1)).unflatten(1, (2, -1)).unbind(1)  # columns as rows
+    height = torch.maximum(a[0], b[0])
+    if len(a) == 1:
+        return height[:, None]
+    factor = torch.minimum(a[1], b[1])
+    for end, other in ((a, b), (b, a)):
+        factor = torch.minimum(factor, torch.maximum(end[2], torch.minimum(other[2], other[3])))
+    return torch.stack([height, factor]).T
 
 
 def flattened(
@@ -98,7 +99,7 @@ def settled(
     points, shares, columns = [], [], by_columns(before)
     for part in level.by_vertex.chunks():
         edges = edge_vectors(part, columns)
-        size = sizes(edges)
+        size = sizes(squared_lengths(edges))
         around = around_vertices(part, edges, local_frames(edges)[0], sharp)
         heights = around[:, 0].contiguous()
         valence = part.offsets.diff().to(before.dtype)
@@ -126,25 +127,23 @@ def settled(
 
 
 def bounded(
-    move: Float[Tensor, "m 3"], groups: FlapGroups, edges: Float[Tensor, "3 3 n"], heights: Float[Tensor, " m"],
-    bound: Bound,
+    move: Float[Tensor, "m 3"], groups: FlapGroups, squared: Float[Tensor, "5 n"], doubled: Float[Tensor, "2 n"],
+    heights: Float[Tensor, " m"], bound: Bound,
 ) -> Float[Tensor, "m 3"]:
     """Displacements shorter than bound[0] times the shortest edge of their half-flaps, bound[1] times the height and,
     where there is one, bound[2] times the smallest altitude of their triangles.
 
+    squared, doubled: of lengths and double areas, as `squared_lengths` and `local_frames` have them.
     Smoothly: with x the length over its bound, it is divided by (1 + x^4)^(1/4), which is nearly 1 below a half.
 
     Weights that never saw a thin triangle or a short edge would displace by more than the edge and fold the surface; on
     a flat patch they leave a ripple.  Networks that are trained within wide bounds lose nothing by tighter ones in use:
     `docs/research.md` has the numbers.
     """
-    e1, e2, e3 = edges
-    squared = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1)
     shortest = torch.segment_reduce(squared.amin(0), "min", offsets=groups.offsets).sqrt()
     limit = torch.minimum(bound[0] * shortest, bound[1] * heights)
     if len(bound) > 2:
         longest = torch.maximum(squared[0], torch.maximum(squared[1:3], squared[3:]))
-        doubled = cross(e1, edges[1:]).square().sum(1)
         altitude = (doubled / longest.clamp(min=torch.finfo(move.dtype).tiny)).amin(0)
         limit = torch.minimum(limit, bound[2] * torch.segment_reduce(altitude, "min", offsets=groups.offsets).sqrt())
     ratio = move.square().sum(1) / limit.clamp(min=NOTHING).square()

@@ -13,19 +13,20 @@ from torch import Tensor
 from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
 __all__ = [
-    "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes", "turns",
-    "vertex_normals", "vertex_turns",
+    "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes",
+    "squared_lengths", "turns", "vertex_normals", "vertex_turns",
 ]
 
 TURNS = 4  # numbers of `turns`
 
 
-def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
-    """The vector's direction, and whether it has one: its length exceeds rounding errors of `size`, squared."""
+def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"], Tensor]:
+    """The vector's direction, whether it has one (its length exceeds rounding errors of `size`, squared), and its
+    squared length (*b, 1, n)."""
     squared = vector.square().sum(-2, keepdim=True)
     limit = torch.finfo(vector.dtype)
     defined = squared > (16 * limit.eps) ** 2 * size + limit.tiny
-    return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined
+    return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined, squared
 
 
 def cross(a: Float[Tensor, "*b 3 n"], b: Float[Tensor, "*b 3 n"]) -> Float[Tensor, "*b 3 n"]:
@@ -45,26 +46,33 @@ def edge_vectors(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[
     return torch.cat([edges[:1], torch.where(groups.missing[:, None], reflected, edges[1:])])
 
 
-def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"], Bool[Tensor, " n"]]:
-    """Axes x, y, z of each half-flap's frame, and whether it has one.
+def local_frames(
+    edges: Float[Tensor, "3 3 n"]
+) -> tuple[Float[Tensor, "3 3 n"], Bool[Tensor, " n"], Float[Tensor, "2 n"]]:
+    """Axes x, y, z of each half-flap's frame, whether it has one, and the squares of its triangles' double areas.
 
     Where the two normals cancel, z is the left face's, and the right one's where the left face has none.
     """
     e1, e2, e3 = edges.unbind()
     lengths = edges.detach().square().sum(1, keepdim=True)
-    x, has_edge = unit(e1, 0.0)
+    x, has_edge, _ = unit(e1, 0.0)
     normals = cross(torch.stack([e1, e3]), torch.stack([e2, e1]))
-    normals, has_normal = unit(normals, lengths[:1] * lengths[1:])
-    z, has_both = unit(normals.sum(0), 1.0)
+    normals, has_normal, doubled = unit(normals, lengths[:1] * lengths[1:])
+    z, has_both, _ = unit(normals.sum(0), 1.0)
     if not has_both.all():
         z = torch.where(has_both, z, torch.where(has_normal[0], normals[0], normals[1]))
-    return torch.stack([x, cross(z, x), z]), (has_edge & has_normal.any(0))[0]
+    return torch.stack([x, cross(z, x), z]), (has_edge & has_normal.any(0))[0], doubled[:, 0]
 
 
-def sizes(edges: Float[Tensor, "3 3 n"]) -> Float[Tensor, " n"]:
-    """Mean length of the five edges of each half-flap, as a constant; 1 where all its vertices coincide."""
-    e1, e2, e3 = edges.detach()
-    size = torch.stack([e1, e2, e3, e2 - e1, e3 - e1]).square().sum(1).sqrt().mean(0)
+def squared_lengths(edges: Float[Tensor, "3 3 n"]) -> Float[Tensor, "5 n"]:
+    """Of the five edges of each half-flap, as constants: v0v1, v0v2, v0v3, v1v2, v1v3."""
+    edges = edges.detach()
+    return torch.cat([edges, edges[1:] - edges[:1]]).square().sum(1)
+
+
+def sizes(squared: Float[Tensor, "5 n"]) -> Float[Tensor, " n"]:
+    """Mean length of the five edges of each half-flap, from `squared_lengths`; 1 where all its vertices coincide."""
+    size = squared.sqrt().mean(0)
     return torch.where(size > 0, size, 1)
 
 
@@ -103,7 +111,7 @@ def vertex_normals(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Floa
     """The direction of the sum of z over a vertex's half-flaps; zero where they cancel."""
     parts, positions = [], by_columns(positions)
     for part in groups.chunks():
-        axes, defined = local_frames(edge_vectors(part, positions))
+        axes, defined, _ = local_frames(edge_vectors(part, positions))
         total = pool(part, torch.where(defined, axes[2], 0).T.contiguous())
         parts.append(unit(total.T, 1.0)[0].T)
     return torch.cat(parts)
@@ -129,7 +137,7 @@ def turns(
     e4 = (e3 * p1 - e2 * p2 + p1 * p3 - p4) / 4
     rounding = 1e-4 * p1  # a polynomial that is small beside this power of the sum may be nothing else
     ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
-    return torch.stack([p1 / groups.offsets.diff(), *(ratio.clamp(min=0) for ratio in ratios)], dim=1)
+    return torch.stack([p1 / groups.offsets.diff(), *(ratio.clamp(min=0) for ratio in ratios)]).T
 
 
 def vertex_turns(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "nV 4"]:

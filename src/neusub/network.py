@@ -32,6 +32,7 @@ from neusub.frames import (
     in_frames,
     local_frames,
     sizes,
+    squared_lengths,
     vertex_normals,
     vertex_turns,
 )
@@ -94,8 +95,9 @@ class HalfFlapMLP(nn.Module):
 
     def _part(self, groups, positions, table, vectors, around, turned, learns):
         edges = edge_vectors(groups, positions)
-        axes, defined = local_frames(edges)
-        size = sizes(edges) if self.plan.relative else None
+        axes, defined, doubled = local_frames(edges)
+        squared = squared_lengths(edges)
+        size = sizes(squared) if self.plan.relative else None
         seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
         hidden = torch.addmm(self.first.bias if table is None else sum_slots(groups, table), seen, turned[0].T)
         if vectors is not None:
@@ -126,9 +128,9 @@ class HalfFlapMLP(nn.Module):
         if self.plan.sharp:
             move = move * around[:, -1:]
         if self.plan.flat:
-            move = move * flattened(heights, groups, sizes(edges) if size is None else size, self.plan.flat)[:, None]
+            move = move * flattened(heights, groups, sizes(squared) if size is None else size, self.plan.flat)[:, None]
         if self.bound is not None:
-            move = bounded(move, groups, edges.detach(), heights, self.bound)
+            move = bounded(move, groups, squared, doubled.detach(), heights, self.bound)
         return move, features, learned, around
 
 
