@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from experiments import sources
+from experiments import sources, tables
 from experiments.__main__ import names
 from experiments.common import volume
 
@@ -49,3 +49,14 @@ def test_stretching_keeps_the_orientation():
     ball = Mesh(*shapes.icosphere(2))
     for seed in range(5):
         assert volume(sources.stretched(ball, np.random.default_rng(seed))) > 0
+
+
+@pytest.mark.parametrize("page", tables.pages(), ids=lambda page: page.name)
+def test_the_tables_of_the_documentation_have_the_numbers_of_the_results(page):
+    text = page.read_text()
+    assert tables.renewed(text) == text, "python -m experiments tables"
+
+
+def test_each_table_stands_on_a_page():
+    text = "".join(page.read_text() for page in tables.pages())
+    assert {name for name in tables.TABLES if f"<!-- table {name} -->" in text} == set(tables.TABLES)

@@ -1,0 +1,175 @@
+"""Tables of the documentation, written anew from the results that lie beside the experiments.
+
+    python -m experiments tables
+
+In README.md and docs/, what stands between the lines `<!-- table NAME -->` and `<!-- end -->` is the return value of
+the function NAME here.  After an experiment ran again, this puts its numbers where they are read.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Callable, Iterable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from experiments.common import HERE, parser_of
+
+ROOT = HERE.parent
+LABELS = {"loop": "Loop", "elephant": "`elephant`", "default": "`default`"}
+ALL = ("midpoint", "loop", "butterfly", "elephant", "default")
+MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
+
+
+def results(name: str) -> dict:
+    return json.loads((HERE / "results" / f"{name}.json").read_text())
+
+
+def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
+    lines = ["| " + " | ".join(cells) + " |\n" for cells in (head, *rows)]
+    return "".join([lines[0].replace("|  |", "| |"), "|" + "---|" * len(head) + "\n", *lines[1:]])
+
+
+def label(method: str) -> str:
+    return LABELS.get(method, method)
+
+
+def hm(entry: dict) -> str:
+    return f"{entry['H']:.2f} / {entry['M']:.3f}"
+
+
+def fixed_inputs() -> str:
+    data = results("fixed_inputs")
+    names = {"butterfly": "modified butterfly", "default": "`default`, told the kind of input"}
+    rows = [[names.get(method, LABELS.get(method, method if method in ALL else f"`{method}`")),
+             *(hm(data[kind][method]) for kind in ("on_surface", "decimated"))] for method in data["on_surface"]]
+    authors = ["the authors' released weights", "2.26 / 0.229", "2.25 / 0.275"]  # run once, with their own code
+    rows.insert(3, authors)
+    return markdown(["eight shapes of TOSCA, two levels, H / M", "coarse vertices on the surface", "decimated"], rows)
+
+
+def teaser() -> str:
+    data = results("gallery")["fig:teaser"]
+    rows = [["vertices on the surface", *(hm(data["on_surface"][m]) for m in ALL)]]
+    for shape in data["on_surface"]["loop"]["shapes"]:
+        name = {"oded_bunny_hr": "bunny", "ns_rocker_arm": "rocker arm"}.get(shape, shape.split("_")[-1])
+        rows.append([name, *(hm(data["on_surface"][m]["shapes"][shape]) for m in ALL)])
+    rows.append(["decimated vertices", *(hm(data["decimated"][m]) for m in ALL)])
+    return markdown(["H / M, mean of six", *map(label, ALL)], rows)
+
+
+def all_levels() -> str:
+    data = results("gallery")["fig:allLevels"]
+    names = {"ns_rocker_arm": "rocker arm", "oded_cat_low_resolution": "cat"}
+    seen = {("oded_cat_low_resolution", "default"): " (it has seen this cat)"}
+    rows = [[f"{names[shape]}, {label(method)}{seen.get((shape, method), '')}", *map(hm, levels.values())]
+            for shape, methods in data.items() for method, levels in methods.items()]
+    return markdown(["H / M", *next(iter(data["ns_rocker_arm"].values()))], rows)
+
+
+def artists() -> str:
+    names = {"quat_cow": "cow", "quat_wolf": "wolf", "quat_pig": "pig", "kenney_cloud": "cloud",
+             "oded_penguin_control_mesh": "penguin, cage", "oded_spot_control_mesh": "spot, cage",
+             "oded_fish_control_mesh": "fish, cage", "ns_coarse_rockerArm": "rocker arm, the authors' coarse one"}
+    rows = [[names[shape], str(data["coarse_folds"]),
+             *(f"{data[m]['mean_angle']:.1f} / {data[m]['folds']} / {data[m]['volume_percent_of_coarse']:.0f}"
+               for m in ALL[1:])] for shape, data in results("gallery")["fig:subdivScene"].items()]
+    return markdown(["angle / folds / volume", "coarse folds", *map(label, ALL[1:])], rows)
+
+
+def texture() -> str:
+    data = results("gallery")["fig:texture"]
+    rows = []
+    for kind, name in (("decimated", "decimated"), ("cage", "the artist's cage")):
+        rows += [[f"{name}, H / M", *(hm(data[kind][m]) for m in ALL)],
+                 [f"{name}, colour", *(f"{data[kind][m]['color_difference_percent']:.2f}" for m in ALL)]]
+    return markdown(["", *map(label, ALL)], rows)
+
+
+def semantic() -> str:
+    methods = ("coarse", "elephant", "default", "remesh")
+    rows = [[f"{count} vertices", *(f"{data[m]['M']:.3f}" for m in methods)]
+            for count, data in results("gallery")["fig:lim_semantic"].items()]
+    return markdown(["M", *map(label, methods)], rows)
+
+
+def modeling() -> str:
+    rows = [[change, *(hm(data[m]) for m in ALL[1:])] for change, data in results("gallery")["fig:modeling"].items()]
+    return markdown(["H / M", *map(label, ALL[1:])], rows)
+
+
+LEVELS = {"elephant": "`elephant`", "elephant, then loop": "`elephant`, Loop after level 2", "default": "`default`",
+          "default, then loop": "`default`, Loop after level 2", "loop": "Loop", "butterfly": "butterfly"}
+
+
+def levels_distance() -> str:
+    data = results("levels")["methods"]
+    rows = [[name, *(f"{entry['M']:.3f}" for entry in data[m].values())] for m, name in LEVELS.items()]
+    return markdown(["M, at level", "1", "2", "3", "4", "5"], rows)
+
+
+def levels_angle() -> str:
+    data = results("levels")["methods"]
+
+    def shown(entry: dict) -> str:  # edges are the sum of angles over their mean
+        rough = entry["mean_angle"] * np.sqrt(entry["total_angle"] / entry["mean_angle"]) / 100
+        return f"{entry['mean_angle']:.1f} / {entry['angle_99']:.0f}, {rough:.0f}"
+
+    rows = [[name, *(shown(data[m][f"level {k}"]) for k in range(2, 6))] for m, name in LEVELS.items()]
+    return markdown(["angle, mean / 99 %, and rough, at level", "2", "3", "4", "5"], rows)
+
+
+def upsampling() -> str:
+    data = results("upsampling")["methods"]
+    names = {"default": "`default`, two levels", "elephant": "`elephant`, two levels",
+             "butterfly": "butterfly, two levels", "coarse vertices": "the coarse vertices",
+             "coarse vertices, true normals": "the coarse vertices, the mesh's normals",
+             "5000 uniform points": "5000 uniform points of the coarse mesh",
+             "5000 farthest points": "5000 farthest points"}
+
+    def short(value: float) -> str:
+        return np.format_float_positional(float(f"{value:.2g}"), trim="-")
+
+    def digits(value: float) -> str:
+        return np.format_float_positional(value, precision=3, fractional=False, trim="k")
+
+    rows = [[name, digits(data[m]["H"]), digits(data[m]["M"]), short(data[m]["genus"]), short(data[m]["components"]),
+             short(data[m]["seconds"])] for m, name in names.items()]
+    return markdown(["from", "H", "M", "genus", "components", "seconds"], rows)
+
+
+def cages() -> str:
+    data = results("cages")["cages"].values()
+    rows = [[label(m), *(text for kind in ("turned", "crossing") for counts in ([cage[m][kind] for cage in data],)
+                         for text in (str(sum(counts)), str(sum(count > 0 for count in counts))))] for m in ALL[1:]]
+    return markdown(["", "turned triangles", "cages with any", "crossing faces", "cages with any"], rows)
+
+
+TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
+    fixed_inputs, teaser, all_levels, artists, texture, semantic, modeling, levels_distance, levels_angle, upsampling,
+    cages)}
+
+
+def renewed(text: str) -> str:
+    """The page with its marked tables as the results are now.  Raises KeyError for an unknown table."""
+    return MARKED.sub(lambda found: found[1] + TABLES[found[2]]() + found[3], text)
+
+
+def pages() -> list[Path]:
+    return [ROOT / "README.md", *sorted((ROOT / "docs").glob("*.md"))]
+
+
+def main() -> None:
+    parser_of("experiments tables", __doc__).parse_args()
+    for page in pages():
+        old = page.read_text()
+        new = renewed(old)
+        if new != old:
+            page.write_text(new)
+            print(f"{page.relative_to(ROOT)}: written")
+
+
+if __name__ == "__main__":
+    main()
