@@ -46,7 +46,7 @@ def fixed_inputs() -> str:
     rows = [[names.get(method, LABELS.get(method, method if method in ALL else f"`{method}`")),
              *(hm(data[kind][method]) for kind in ("on_surface", "decimated"))] for method in data["on_surface"]]
     authors = ["the authors' released weights", "2.26 / 0.229", "2.25 / 0.275"]  # run once, with their own code
-    rows.insert(3, authors)
+    rows.insert(list(data["on_surface"]).index("butterfly") + 1, authors)
     return markdown(["eight shapes of TOSCA, two levels, H / M", "coarse vertices on the surface", "decimated"], rows)
 
 
@@ -101,7 +101,7 @@ def modeling() -> str:
 
 
 LEVELS = {"elephant": "`elephant`", "elephant, then loop": "`elephant`, Loop after level 2", "default": "`default`",
-          "default, then loop": "`default`, Loop after level 2", "loop": "Loop", "butterfly": "butterfly"}
+          "default, then loop": "`default`, Loop after level 3", "loop": "Loop", "butterfly": "butterfly"}
 
 
 def levels_distance() -> str:
@@ -113,9 +113,8 @@ def levels_distance() -> str:
 def levels_angle() -> str:
     data = results("levels")["methods"]
 
-    def shown(entry: dict) -> str:  # edges are the sum of angles over their mean
-        rough = entry["mean_angle"] * np.sqrt(entry["total_angle"] / entry["mean_angle"]) / 100
-        return f"{entry['mean_angle']:.1f} / {entry['angle_99']:.0f}, {rough:.0f}"
+    def shown(entry: dict) -> str:
+        return f"{entry['mean_angle']:.1f} / {entry['angle_99']:.0f}, {entry['mean_angle_root_edges'] / 100:.0f}"
 
     rows = [[name, *(shown(data[m][f"level {k}"]) for k in range(2, 6))] for m, name in LEVELS.items()]
     return markdown(["angle, mean / 99 %, and rough, at level", "2", "3", "4", "5"], rows)

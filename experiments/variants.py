@@ -52,9 +52,9 @@ class Repeated(HalfFlapMLP):
     def forward(self, groups, positions, values, around=None, learns=True):
         moved = positions
         for _ in range(self.steps):
-            move, values, around = super().forward(groups, moved, values, around, learns)
+            move, values, found = super().forward(groups, moved, values, around, learns)
             moved = moved + move
-        return moved - positions if self.steps > 1 else move, values, around
+        return moved - positions if self.steps > 1 else move, values, found
 
 
 class VerticesFromLoop(HalfFlapMLP):

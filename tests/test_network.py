@@ -15,6 +15,8 @@ from neusub.generation import Batch, Pair, batch_pairs
 from neusub.network import NeuralSubdivision
 from neusub.topology import topology_levels
 
+DEFAULT = asdict(PRESETS["default"].network)
+OPTIONS = [pytest.param({}, id="paper"), pytest.param(DEFAULT, id="default")]
 GOLDEN_FILES = ("valid_001", "valid_005", "test_bunny", "test_horse")
 REFERENCE_NAMES = {"initial": "init", "vertex": "vertex", "edge": "edge",
                    "first": "layerIn", "hidden": "hidden.0", "last": "layerOut"}
@@ -88,20 +90,23 @@ def test_renumbering_the_vertices_renumbers_the_output():
     assert np.allclose(run(network, vertices[order], rank[faces])[0].numpy(), level0[order], rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("options", OPTIONS)
 @pytest.mark.parametrize("make", [lambda: shapes.torus(9, 7), lambda: shapes.grid(6, 5)])
-def test_chunks_do_not_change_the_output(make, monkeypatch):
+def test_chunks_do_not_change_the_output(make, options, monkeypatch):
     vertices, faces = make()
-    network = random_network()
+    network = random_network(**{**options, "trained": 1, "settle": 0.05} if options else {})
     whole = run(network, bumpy(vertices), faces)
     monkeypatch.setattr(neusub.flaps, "CHUNK", 320)
     for a, b in zip(whole, run(network, bumpy(vertices), faces)):
         assert torch.allclose(a, b, rtol=0, atol=1e-12)
 
 
+@pytest.mark.parametrize("options", [{}, {"vectors": 2, "turns": True, "residual": True, "activation": "silu"}],
+                         ids=["paper", "vectors"])  # sizes and heights count as constants, so not with these
 @pytest.mark.parametrize("make", [lambda: shapes.torus(5, 4), lambda: shapes.grid(3, 3)])
-def test_gradients_equal_finite_differences(make):
+def test_gradients_equal_finite_differences(make, options):
     vertices, faces = make()
-    network = random_network()
+    network = random_network(**options)
     levels = flaps_of(faces, len(vertices), 2)
     start = torch.tensor(bumpy(vertices))
     parameters = dict(network.named_parameters())
@@ -164,9 +169,6 @@ def test_degenerate_faces_give_finite_output_and_gradients(name, mesh, dtype):
     levels = flaps_of(faces, len(vertices))
     sum(out.square().mean() for out in network(torch.tensor(vertices, dtype=dtype), levels)).backward()
     assert all(torch.isfinite(p.grad).all() for p in network.parameters() if p.grad is not None)
-
-
-DEFAULT = asdict(PRESETS["default"].network)
 
 
 @pytest.mark.parametrize("options", [{"relative": True}, DEFAULT], ids=["relative", "default"])

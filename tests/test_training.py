@@ -11,8 +11,8 @@ from safetensors.torch import load_file, save_file
 
 import shapes
 from neusub.configuration import Architecture, TrainingConfig
-from neusub.errors import TrainingError
-from neusub.generation import Pair, batch_pairs, load_pairs, save_pairs
+from neusub.errors import PairFileError, TrainingError
+from neusub.generation import Pair, batch_pairs, load_pairs, save_pairs, shortened
 from neusub.mesh import Mesh
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
@@ -89,6 +89,22 @@ def test_steps_that_all_stop_at_level_1_are_those_of_a_training_for_one_level(fi
                            if key.startswith("model.")} for name in ("stopped", "one", "deep"))
     assert all(torch.equal(stopped[key], one[key]) for key in one)
     assert not all(torch.equal(stopped[key], full[key]) for key in full)
+
+
+def test_pairs_of_several_depths_train_together_each_as_deep_as_it_is(files, tmp_path):
+    pairs = load_pairs(files[0][0])
+    save_pairs([shortened(pair, 1) for pair in pairs], tmp_path / "shallow.safetensors", {})
+    config = TrainingConfig(epochs=2, batch=3, levels=2)
+    result = train([*files[0], tmp_path / "shallow.safetensors"], files[1], tmp_path / "mixed", config)
+    assert result.model.network.plan.trained == 2
+    assert np.isfinite(result.best_loss)
+    with pytest.raises(PairFileError, match="no pair has more than 1 levels, 2 were asked for"):
+        train([tmp_path / "shallow.safetensors"], files[1], tmp_path / "refused", config)
+
+
+def test_mixed_precision_trains_the_default_network(files, tmp_path):
+    config = replace(PRESETS["default"], epochs=1, levels=2, precision="bf16-mixed", device="cpu")
+    assert np.isfinite(train(*files, tmp_path / "run", config).best_loss)
 
 
 def test_the_seed_decides_the_run(files, tmp_path):

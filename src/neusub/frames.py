@@ -17,7 +17,7 @@ __all__ = [
     "squared_lengths", "turns", "vertex_normals", "vertex_turns",
 ]
 
-TURNS = 4  # numbers of `turns`
+TURNS = 4  # numbers of `vertex_turns`
 
 
 def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"], Tensor]:
@@ -119,31 +119,36 @@ def vertex_normals(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Floa
 
 def turns(
     groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"]
-) -> Float[Tensor, "nV 4"]:
+) -> Float[Tensor, "nV 5"]:
     """At how many of a vertex's edges the surface turns, and how far; of its half-flaps' edges and frames.
 
-    With s the sine of half the angle between the two faces of an edge, and e1 .. e4 the elementary symmetric
-    polynomials of a vertex's s: their mean, e2 / e1, e3 / e2 and e4 / e3.  Each ratio is as large as the next largest s
-    where those before are much larger.  So the third number is zero on a sharp edge between flat faces, where the
-    surface turns at two edges, and the fourth at a corner of three such faces.
+    With s the sine of half the angle between the normals of an edge's two faces, and e1 .. e4 the elementary symmetric
+    polynomials of a vertex's s: their mean, e2 / e1, e3 / e2 and e4 / e3.  Each ratio is about the sum of all s but the
+    one, two, three largest, where these are much larger.  So the third number is zero on a sharp edge between flat
+    faces, where the surface turns at two edges, and the fourth at a corner of three such faces.
+    The fifth is the length of the sum of s x over that of s: zero where the edges that turn lead on straight, the sine
+    of half the bend of two that do not.
+    An edge with a face without area does not turn, nor does one that is folded shut.
     """
     sideways, up = (edges[1:] * axes[1]).sum(1).square(), (edges[1:] * axes[2]).sum(1).square()
     least = torch.finfo(up.dtype).tiny
-    squared = (up / (sideways + up).clamp(min=least)).amax(0)
+    squared = (up / (sideways + up).clamp(min=least)).amin(0)  # both the same, but where a face has no area
     s = squared.sqrt()
-    p1, p2, p3, p4 = pool(groups, torch.stack([s, squared, squared * s, squared.square()], dim=1)).T
+    columns = [s, squared, squared * s, squared.square(), *(s * axes[0])]
+    p1, p2, p3, p4, *along = pool(groups, torch.stack(columns, dim=1)).T
     e2 = (p1 * p1 - p2) / 2  # from the sums of powers, by Newton's identities
     e3 = (e2 * p1 - p1 * p2 + p3) / 3
     e4 = (e3 * p1 - e2 * p2 + p1 * p3 - p4) / 4
     rounding = 1e-4 * p1  # a polynomial that is small beside this power of the sum may be nothing else
     ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
-    return torch.stack([p1 / groups.offsets.diff(), *(ratio.clamp(min=0) for ratio in ratios)]).T
+    bend = torch.stack(along).square().sum(0).sqrt() / (p1 + least)
+    return torch.stack([p1 / groups.offsets.diff(), *(ratio.clamp(min=0) for ratio in ratios), bend]).T
 
 
 def vertex_turns(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "nV 4"]:
-    """`turns` of positions."""
+    """The first four of the `turns` of positions."""
     parts, positions = [], by_columns(positions)
     for part in groups.chunks():
         edges = edge_vectors(part, positions)
-        parts.append(turns(part, edges, local_frames(edges)[0]))
+        parts.append(turns(part, edges, local_frames(edges)[0])[:, :TURNS])
     return torch.cat(parts)

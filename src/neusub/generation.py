@@ -321,5 +321,7 @@ def scaled(pair: Pair, factor: float) -> Pair:
 
 def shortened(pair: Pair, levels: int) -> Pair:
     """The pair with its first `levels` levels only; the pair itself where it has no more."""
+    if levels >= pair.levels:
+        return pair
     sizes = pair.level_sizes[: levels + 1]
     return replace(pair, targets=pair.targets[: sizes[-1]], level_sizes=sizes)

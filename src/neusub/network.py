@@ -102,7 +102,7 @@ class HalfFlapMLP(nn.Module):
         hidden = torch.addmm(self.first.bias if table is None else sum_slots(groups, table), seen, turned[0].T)
         if vectors is not None:
             seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
-            hidden.addmm_(in_frames(seen, axes).T, turned[1].T)
+            hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned[1].T.to(hidden.dtype))  # in mixed precision
         hidden = self.activate(self.hidden(self.activate(hidden, inplace=spare)), inplace=spare)
         count = groups.offsets.diff().to(hidden.dtype)[:, None]
         if not defined.all():  # half-flaps without a frame are left out of the mean

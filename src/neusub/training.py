@@ -78,7 +78,7 @@ class _Run:
         files = [*train_files, *validation_files]
         data = [{**read_header(f), "file": Path(f).name, "hash": file_hash(f)} for f in files]
         pairs = read_pairs(train_files, config)
-        deepest = max(pair.levels for pair in pairs)
+        deepest = max((pair.levels for pair in pairs), default=0)
         if deepest < config.levels:
             raise PairFileError(f"no pair has more than {deepest} levels, {config.levels} were asked for. Train on "
                                 "fewer (--levels), or make deeper pairs.")
@@ -94,7 +94,7 @@ class _Run:
         began = time.perf_counter()
         set_rate(self.optimizer, self.config, self.state.epoch)
         training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch)
-        loss = validate(self.model, validation, self.config.loss) if validation else training_loss
+        loss = validate(self.model.module, validation, self.config.loss) if validation else training_loss
         if not np.isfinite(training_loss + loss):
             raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Train in another folder at "
                                 f"a learning rate below {self.config.learning_rate}, or look for broken pairs.")
@@ -197,7 +197,9 @@ def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
     total, count = torch.zeros((), device=fabric.device, dtype=torch.float64), 0
     for batch, meshes, depth in batches.epoch(epoch):
         optimizer.zero_grad(set_to_none=True)
-        loss = batch.loss(model(batch.positions, batch.levels[:depth]), batches.config.loss) / meshes
+        with fabric.autocast():  # the module itself: the wrapper would copy the half-flaps, to convert them
+            outputs = model.module(batch.positions, batch.levels[:depth])
+        loss = batch.loss(outputs, batches.config.loss) / meshes
         fabric.backward(loss)
         optimizer.step()
         total += loss.detach() * meshes
