@@ -166,7 +166,7 @@ def test_a_loss_that_is_not_finite_is_a_named_error(files, tmp_path):
 def test_the_default_network_is_saved_as_one_and_knows_no_scale(files, tmp_path):
     train(*files, tmp_path / "run", replace(CONFIG, epochs=1, network=PRESETS["default"].network))
     model = Subdivider.load(tmp_path / "run" / "model.safetensors", dtype=torch.float64)
-    assert model.network.plan == replace(PRESETS["default"].network, bound=CONFIG.bound)
+    assert model.network.plan == replace(PRESETS["default"].network, bound=CONFIG.bound, sharp=CONFIG.sharp)
     vertices, faces = shapes.torus(8, 6)
     one, large = (model.subdivide(Mesh(s * vertices, faces), 1, scale="none")[-1].vertices for s in (1.0, 1000.0))
     np.testing.assert_allclose(large / 1000, one, atol=1e-12)

@@ -15,7 +15,7 @@ from neusub.frames import edge_vectors, local_frames, sizes, squared_lengths, tu
 
 __all__ = ["around_edges", "around_vertices", "bounded", "flattened", "settled"]
 
-SHARP = 0.34, 0.5  # sines of half of 40 and 60 degrees: two edges (three) that turn by less are not sharp, by more are
+SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
 
 NOTHING = 1e-6  # a bound below this, of a mesh at the training's scale, is that of a flat patch
 
@@ -34,8 +34,8 @@ def around_vertices(
     three, inside one; at last the factor of its own displacement, the smaller of the first two.
 
     Edges are sharp from angles as large as SHARP on, for the strips of a cylinder are flat faces too.  `sharp` is the
-    sine of half the angle, at an edge where the surface should not turn, that halves the hold; a bend of the sharp edge
-    counts the same.  Where a sharp edge ends at a boundary, one edge turns instead of two.
+    sine of half the angle, at an edge where the surface should not turn, that halves the hold; twice that angle where
+    the sharp edge bends.  Where a sharp edge ends at a boundary, one edge turns instead of two.
     """
     heights = heights_of(groups, edges, axes)
     if not sharp:
@@ -49,7 +49,7 @@ def around_vertices(
     def held(left: Tensor) -> Tensor:
         return sharp**2 / (left.square() + sharp**2)
 
-    on_edge, at_corner = free(third + bend, 2 * second), free(fourth, 3 * third)  # the factors make equal s one s
+    on_edge, at_corner = free(torch.maximum(third, bend / 2), 2 * second), free(fourth, 3 * third)  # of equal s
     if groups.missing is not None:
         border = torch.segment_reduce(groups.missing.any(0).to(mean.dtype), "max", offsets=groups.offsets) > 0
         on_edge = torch.where(border, free(second, mean * groups.offsets.diff()), on_edge)

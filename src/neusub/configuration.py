@@ -50,6 +50,7 @@ class TrainingConfig:
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
     bound: Bound = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
+    sharp: float = 0.0  # of the trained model; `network` has that of the training
     settle: float = 0.0  # of the trained model, beyond `levels`
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
@@ -78,7 +79,7 @@ PRESETS = {
                               loss="surface",
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6, 0.3), settle=0.05),
+                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.05),
 }
 
 

@@ -107,8 +107,8 @@ class _Run:
 
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
-        plan = replace(self.config.network, bound=self.config.bound, settle=self.config.settle,
-                       trained=self.config.levels)
+        plan = replace(self.config.network, bound=self.config.bound, sharp=self.config.sharp,
+                       settle=self.config.settle, trained=self.config.levels)
         network = NeuralSubdivision(plan)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
@@ -273,7 +273,7 @@ def load_checkpoint(path: Path, run: _Run) -> None:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
-    free = {"device", "threads", "checkpoint_every", "bound", "settle"}  # do not change what is learned
+    free = {"device", "threads", "checkpoint_every", "bound", "sharp", "settle"}  # do not change what is learned
     if run.config.schedule == "constant":
         free.add("epochs")
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
