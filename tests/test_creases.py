@@ -63,14 +63,18 @@ def test_isolated_vertices_keep_their_index():
     assert faces.tolist() == [[1, 2, 3]]
 
 
-def test_a_cube_with_creases_stays_a_cube(model):
+def test_an_octahedron_with_creases_stays_an_octahedron(model):
+    octahedron = Mesh(*bipyramid(4))
+    fine = model.subdivide(octahedron, 3, 1, crease_angle=30)[-1]
+    np.testing.assert_allclose(np.abs(fine.vertices).sum(axis=1), 1, rtol=1e-12)
+    plain = np.abs(model.subdivide(octahedron, 3)[-1].vertices).sum(axis=1)
+    assert np.ptp(plain) > 0.1  # without them it is round
+
+
+def test_a_cube_stays_a_cube_with_creases_and_without(model):
     cube = Mesh(*shapes.cube())
-    fine = model.subdivide(cube, 3, 1, crease_angle=30)[-1]
-    centre = (cube.vertices.min(0) + cube.vertices.max(0)) / 2
-    half = np.ptp(cube.vertices, axis=0)[0] / 2
-    np.testing.assert_allclose(np.abs(fine.vertices - centre).max(axis=1), half, rtol=1e-12)
-    plain = np.abs(model.subdivide(cube, 3)[-1].vertices - centre).max(axis=1)
-    assert np.ptp(plain) > 0.1 * half  # without them it is round
+    for fine in (model.subdivide(cube, 3, 1, crease_angle=30)[-1], model.subdivide(cube, 4)[-1]):
+        np.testing.assert_allclose(np.abs(fine.vertices - 0.5).max(axis=1), 0.5, rtol=1e-12)
 
 
 def test_points_of_a_crease_lie_on_its_curve_and_both_sides_meet_there(model):
