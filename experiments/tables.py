@@ -146,9 +146,27 @@ def cages() -> str:
     return markdown(["", "turned triangles", "cages with any", "crossing faces", "cages with any"], rows)
 
 
+def ablation() -> str:
+    data = next(iter(results("ablation")["summary"].values()))  # of the smallest setting
+    names = {"paper": "the paper's network", "loss on the last level": "loss on the last level only",
+             "from Loop": "displacements from Loop's positions", "2 vertex steps": "2 vertex steps",
+             "MeshCNN features": "MeshCNN's features",
+             "MeshCNN features, relative": "MeshCNN's features, displacements in edge lengths",
+             "relative lengths": "the paper's inputs, lengths in edge lengths"}
+
+    def digits(value: float) -> str:
+        return f"{1e6 * value:.{2 if value < 1e-5 else 1 if value < 1e-4 else 0}f}"
+
+    rows = [[names.get(variant, variant), str(row["seeds"]), *map(digits, (*row["levels"], row["sum"])),
+             digits(row["deviation"]) if row["seeds"] > 1 else "", f"{row['cpu_seconds']:.0f}"]
+            for variant, row in data.items()]
+    return markdown(["variant", "seeds", "level 0", "level 1", "level 2", "sum", "spread of the sum",
+                     "seconds of one core"], rows)
+
+
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
     fixed_inputs, teaser, all_levels, artists, texture, semantic, modeling, levels_distance, levels_angle, upsampling,
-    cages)}
+    cages, ablation)}
 
 
 def renewed(text: str) -> str:
