@@ -98,8 +98,11 @@ def test_pairs_of_several_depths_train_together_each_as_deep_as_it_is(files, tmp
     result = train([*files[0], tmp_path / "shallow.safetensors"], files[1], tmp_path / "mixed", config)
     assert result.model.network.plan.trained == 2
     assert np.isfinite(result.best_loss)
-    with pytest.raises(PairFileError, match="no pair has more than 1 levels, 2 were asked for"):
-        train([tmp_path / "shallow.safetensors"], files[1], tmp_path / "refused", config)
+    with pytest.warns(UserWarning, match="no pair has more than 1 levels: 1 are trained, not 2"):
+        shallow = train([tmp_path / "shallow.safetensors"], files[1], tmp_path / "shallow", config)
+    assert shallow.model.network.plan.trained == 1
+    with pytest.raises(PairFileError, match="no training pairs"):
+        train([], [], tmp_path / "none", config)
 
 
 def test_mixed_precision_trains_the_default_network(files, tmp_path):

@@ -10,6 +10,7 @@ from __future__ import annotations
 import csv
 import json
 import time
+import warnings
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
@@ -78,10 +79,12 @@ class _Run:
         files = [*train_files, *validation_files]
         data = [{**read_header(f), "file": Path(f).name, "hash": file_hash(f)} for f in files]
         pairs = read_pairs(train_files, config)
-        deepest = max((pair.levels for pair in pairs), default=0)
+        if not pairs:
+            raise PairFileError("no training pairs. Give the files that `neusub pairs` or `import-pairs` wrote.")
+        deepest = max(pair.levels for pair in pairs)
         if deepest < config.levels:
-            raise PairFileError(f"no pair has more than {deepest} levels, {config.levels} were asked for. Train on "
-                                "fewer (--levels), or make deeper pairs.")
+            warnings.warn(f"no pair has more than {deepest} levels: {deepest} are trained, not {config.levels}. Make "
+                          "deeper pairs for more.", stacklevel=4)
         fabric = Fabric(accelerator=resolve_device(config.device), devices=1, precision=config.precision)  # type: ignore[arg-type]
         torch.manual_seed(config.seed)
         network = NeuralSubdivision(config.network)
@@ -108,7 +111,7 @@ class _Run:
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
         plan = replace(self.config.network, bound=self.config.bound, sharp=self.config.sharp,
-                       settle=self.config.settle, trained=self.config.levels)
+                       settle=self.config.settle, trained=max(pair.levels for pair in self.pairs))
         network = NeuralSubdivision(plan)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
