@@ -131,10 +131,7 @@ def upsampling() -> str:
     def short(value: float) -> str:
         return np.format_float_positional(float(f"{value:.2g}"), trim="-")
 
-    def digits(value: float) -> str:
-        return np.format_float_positional(value, precision=3, fractional=False, trim="k")
-
-    rows = [[name, digits(data[m]["H"]), digits(data[m]["M"]), short(data[m]["genus"]), short(data[m]["components"]),
+    rows = [[name, f"{data[m]['H']:#.3g}", f"{data[m]['M']:#.3g}", short(data[m]["genus"]), short(data[m]["components"]),
              short(data[m]["seconds"])] for m, name in names.items()]
     return markdown(["from", "H", "M", "genus", "components", "seconds"], rows)
 
