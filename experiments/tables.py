@@ -131,8 +131,8 @@ def upsampling() -> str:
     def short(value: float) -> str:
         return np.format_float_positional(float(f"{value:.2g}"), trim="-")
 
-    rows = [[name, f"{data[m]['H']:#.3g}", f"{data[m]['M']:#.3g}", short(data[m]["genus"]), short(data[m]["components"]),
-             short(data[m]["seconds"])] for m, name in names.items()]
+    rows = [[name, *(f"{data[m][key]:#.3g}" for key in "HM"),
+             *(short(data[m][key]) for key in ("genus", "components", "seconds"))] for m, name in names.items()]
     return markdown(["from", "H", "M", "genus", "components", "seconds"], rows)
 
 
