@@ -86,7 +86,8 @@ class HalfFlapMLP(nn.Module):
             bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
             fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
             table = linear(table, fixed, bias).view(-1, len(self.first.bias))
-        positions, vectors = by_columns(positions), None if vectors is None else by_columns(vectors)
+        positions = by_columns(positions)
+        vectors, around = (None if rows is None else by_columns(rows) for rows in (vectors, around))
         parts = groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]
         results = [self._part(part, positions, table, vectors, around, turned, learns) for part in parts]
         moves, features, vectors, around = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
