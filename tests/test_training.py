@@ -130,6 +130,18 @@ def test_a_run_is_not_resumed_with_other_options_or_data(files, tmp_path):
         train(files[1], files[1], tmp_path / "run", CONFIG, resume=True)
 
 
+def test_a_run_goes_on_for_another_cycle_as_if_asked_for_it_at_the_start(files, tmp_path):
+    config = replace(CONFIG, schedule="cosine", epochs=4, cycles=2)
+    whole = train(*files, tmp_path / "whole", config)
+    train(*files, tmp_path / "parts", replace(config, epochs=2, cycles=1))
+    with pytest.raises(TrainingError, match="epochs"):
+        train(*files, tmp_path / "parts", replace(config, cycles=1), resume=True)
+    parts = train(*files, tmp_path / "parts", config, resume=True)
+    assert (parts.best_loss, parts.best_epoch) == (whole.best_loss, whole.best_epoch)
+    states = [load_file(tmp_path / run / "checkpoint.safetensors") for run in ("whole", "parts")]
+    assert all(torch.equal(states[0][key], states[1][key]) for key in states[0])
+
+
 def test_a_checkpoint_from_before_an_option_came_in_is_resumed(files, tmp_path):
     train(*files, tmp_path / "run", CONFIG)
     path = tmp_path / "run" / "checkpoint.safetensors"

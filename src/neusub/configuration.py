@@ -44,7 +44,8 @@ class TrainingConfig:
     epochs: int = 700
     batch: int = 1  # meshes a step
     learning_rate: float = 2e-3
-    schedule: Literal["constant", "cosine"] = "constant"  # cosine goes down to zero at the last epoch
+    schedule: Literal["constant", "cosine"] = "constant"  # cosine goes down to zero at the end of each cycle
+    cycles: int = 1  # of the cosine: the rate starts anew so often (SGDR, Loshchilov and Hutter 2017)
     levels: int = 2  # at most; pairs with fewer are taken as deep as they are
     shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
@@ -60,7 +61,7 @@ class TrainingConfig:
     checkpoint_every: int = 5  # epochs
 
     def __post_init__(self) -> None:
-        for name in ("epochs", "batch", "levels", "checkpoint_every"):
+        for name in ("epochs", "batch", "levels", "cycles", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: take at least 1.")
         check_bound(self.bound)
@@ -75,8 +76,8 @@ class TrainingConfig:
 PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
-    "default": TrainingConfig(batch=2, schedule="cosine", epochs=36, learning_rate=1e-3, levels=3, shallow=0.6,
-                              loss="surface",
+    "default": TrainingConfig(batch=2, schedule="cosine", epochs=72, cycles=2, learning_rate=1e-3, levels=3,
+                              shallow=0.6, loss="surface",
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
                               bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.05),

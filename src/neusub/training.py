@@ -218,7 +218,8 @@ def validate(model, batches: list[Batch], loss: str = "squared") -> float:
 
 def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
     """The learning rate of an epoch."""
-    factors = {"constant": 1.0, "cosine": 0.5 * (1 + np.cos(np.pi * epoch / config.epochs))}
+    done = epoch * config.cycles % config.epochs / config.epochs  # of the cycle
+    factors = {"constant": 1.0, "cosine": 0.5 * (1 + np.cos(np.pi * done))}
     if config.schedule not in factors:
         raise TrainingError(f"schedule {config.schedule!r} is not one of {', '.join(factors)}.")
     for group in optimizer.param_groups:
@@ -277,9 +278,10 @@ def load_checkpoint(path: Path, run: _Run) -> None:
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
     free = {"device", "threads", "checkpoint_every", "bound", "sharp", "settle"}  # do not change what is learned
-    if run.config.schedule == "constant":
-        free.add("epochs")
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
+    lengths = [config["epochs"] / config.get("cycles", 1) for config in (header["config"], here)]
+    if run.config.schedule == "constant" or lengths[0] == lengths[1]:  # a run may go on for more cycles
+        free |= {"epochs", "cycles"}
     for field in fields(TrainingConfig):
         was, now = header["config"].get(field.name, default[field.name]), here[field.name]
         if isinstance(now, dict):  # an option that came in after the run began has its default
