@@ -83,9 +83,10 @@ class HalfFlapMLP(nn.Module):
         turned = torch.cat(columns[1::2], dim=1), torch.cat([c[:, self.features :] for c in columns[::2]], dim=1)
         table, vectors = values
         if table is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
-            bias = torch.cat([self.first.bias, self.first.bias.new_zeros(3 * len(self.first.bias))])
             fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
-            table = linear(table, fixed, bias).view(-1, len(self.first.bias))
+            table = linear(table, fixed)
+            table[:, : self.plan.width] += self.first.bias
+            table = table.view(-1, self.plan.width)
         positions = by_columns(positions)
         vectors, around = (None if rows is None else by_columns(rows) for rows in (vectors, around))
         parts = groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]
@@ -100,10 +101,14 @@ class HalfFlapMLP(nn.Module):
         squared = squared_lengths(edges)
         size = sizes(squared) if self.plan.relative else None
         seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
-        hidden = torch.addmm(self.first.bias if table is None else sum_slots(groups, table), seen, turned[0].T)
+        if table is None:
+            hidden = torch.addmm(self.first.bias, seen, turned[0].T)
+        else:
+            hidden = sum_slots(groups, table)
+            hidden.addmm_(seen.to(hidden.dtype), turned[0].T.to(hidden.dtype))  # in mixed precision
         if vectors is not None:
             seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
-            hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned[1].T.to(hidden.dtype))  # in mixed precision
+            hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned[1].T.to(hidden.dtype))
         hidden = self.activate(self.hidden(self.activate(hidden, inplace=spare)), inplace=spare)
         count = groups.offsets.diff().to(hidden.dtype)[:, None]
         if not defined.all():  # half-flaps without a frame are left out of the mean
