@@ -1,11 +1,14 @@
 """What bounds displacements, lets them fade, or holds them; on networks of random weights."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 
 import patches
 import shapes
+from neusub import subdivider
 from neusub.bounds import around_edges, around_vertices
 from neusub.frames import edge_vectors, local_frames, vertex_turns
 from neusub.mesh import Mesh
@@ -100,6 +103,62 @@ def test_a_border_gets_smoother_beyond_the_trained_levels_and_keeps_its_corners(
     edge = np.ptp(square[:, 0]) / 4
     for corner in (square.min(axis=0), square.max(axis=0)):
         assert np.linalg.norm(fine - corner, axis=1).min() < 0.02 * edge
+
+
+# --- triangles that would be turned over ---------------------------------------------------------------------------
+
+
+def turned_over(levels: list[np.ndarray], faces, start) -> list[int]:
+    """How many triangles of each level look away from the input's face that they come from."""
+    topologies, last = topology_levels(faces, len(start), len(levels) - 1)
+    finer = [*(topology.faces for topology in topologies), last]
+    wanted = normals_of(start, faces)
+    return [int(((normals_of(positions, f).reshape(-1, len(faces), 3) * wanted).sum(axis=2) < 0).sum())
+            for positions, f in zip(levels, finer)]
+
+
+def normals_of(vertices, faces):
+    a, b, c = (vertices[column] for column in faces.T)
+    return np.cross(b - a, c - a)
+
+
+@pytest.mark.parametrize("make", [lambda: shapes.torus(12, 8), lambda: shapes.grid(6, 5)])
+def test_no_triangle_is_turned_over_however_far_the_network_goes(make):
+    vertices, faces = make()
+    vertices = bumpy(vertices)
+    outputs = {}
+    for on in (False, True):
+        network = random_network(vectors=2, relative=True, unturned=on)
+        for module in (network.initial, network.vertex, network.edge):
+            module.last.weight.data *= 4
+        outputs[on] = [out.numpy() for out in run(network, vertices, faces)]
+    assert min(turned_over(outputs[False], faces, vertices)[1:]) > 0
+    assert turned_over(outputs[True], faces, vertices) == [0, 0, 0]
+    assert np.abs(outputs[True][1][: len(vertices)] - vertices).max() > 0.05  # it moves where nothing turns
+
+
+def test_where_nothing_is_turned_over_positions_are_the_networks():
+    vertices, faces = shapes.torus(12, 8)
+    options = {"vectors": 2, "relative": True, "bound": (0.05, 0.3)}
+    free, kept = (run(random_network(**options, unturned=on), vertices, faces) for on in (False, True))
+    for a, b in zip(free, kept):
+        np.testing.assert_array_equal(a, b)
+
+
+def test_triangles_too_thin_for_single_precision_are_not_turned_over_either(monkeypatch):
+    vertices, faces = shapes.torus(12, 8)
+    vertices = vertices.copy()
+    a, b, c = faces[0]
+    vertices[c] = (vertices[a] + vertices[b]) / 2 + 1e-7 * (vertices[c] - vertices[a])
+    model = Subdivider.load()
+    model.network.plan = replace(model.network.plan, unturned=True)
+
+    def count() -> list[int]:
+        return turned_over([mesh.vertices for mesh in model.subdivide(Mesh(vertices, faces), 2)], faces, vertices)
+
+    assert count() == [0, 0, 0]
+    monkeypatch.setattr(subdivider, "THIN", 0)
+    assert max(count()) > 0
 
 
 # --- sharp edges of flat faces -----------------------------------------------------------------------------------

@@ -1,21 +1,23 @@
 """What keeps a trained network in check on meshes and levels that its training had none of: bounds of displacements,
-fading on flat faces and around their sharp edges, and Loop's points where the surface is nearly flat.  Not in the
-paper.
+fading on flat faces and around their sharp edges, Loop's points where the surface is nearly flat, and no triangle
+turned over.  Not in the paper.
 """
 
 from __future__ import annotations
 
 import torch
-from jaxtyping import Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from neusub.configuration import Bound
-from neusub.flaps import FlapGroups, LevelFlaps, by_columns, pool
-from neusub.frames import edge_vectors, local_frames, sizes, squared_lengths, turns
+from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
+from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turns
 
-__all__ = ["around_edges", "around_vertices", "bounded", "flattened", "settled"]
+__all__ = ["around_edges", "around_vertices", "bounded", "face_normals", "flattened", "settled", "unturned"]
 
 SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
+
+TURNED = 0.05  # a triangle is turned over where the cosine of its angle to the input's face is below: at 87 degrees
 
 NOTHING = 1e-6  # a bound below this, of a mesh at the training's scale, is that of a flat patch
 
@@ -152,3 +154,39 @@ def bounded(
         limit = torch.minimum(limit, bound[2] * torch.segment_reduce(altitude, "min", offsets=groups.offsets).sqrt())
     ratio = move.square().sum(1) / limit.clamp(min=NOTHING).square()
     return move * ((1 + ratio.square()) ** -0.25 * (limit / NOTHING).clamp(max=1))[:, None]
+
+
+def face_normals(faces: Int[Tensor, "nF 3"], positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 nF"]:
+    """Normals of the faces, as long as their double areas; one row a coordinate."""
+    a, b, c = positions.T.index_select(1, faces.T.reshape(-1)).view(3, 3, -1).unbind(1)
+    return cross(b - a, c - a)
+
+
+def unturned(
+    faces: Int[Tensor, "k*nF_0 3"], normals: Float[Tensor, "3 nF_0"], safe: Float[Tensor, "nV 3"],
+    wanted: Float[Tensor, "nV 3"],
+) -> Float[Tensor, "nV 3"]:
+    """The wanted positions, but no triangle turned over that is not in the safe ones, the midpoint refinement's.
+
+    normals: of the input's faces; those of `faces` come from them block by block.
+    The vertices of a triangle that is turned over go half of their way back, until none is; from an eighth of the way
+    on they go back whole.  This ends, as those of a triangle that is left are safe at last.
+    """
+    def turned_over(positions: Tensor) -> Bool[Tensor, " n"]:
+        columns, results = by_columns(positions), []
+        for part in faces.split(normals.shape[1] * max(1, CHUNK // normals.shape[1])):
+            now = face_normals(part, columns).unflatten(1, (-1, normals.shape[1]))
+            cosine = (now * normals[:, None]).sum(0)  # times both lengths
+            least = TURNED * (now.square().sum(0) * normals.square().sum(0)).sqrt()
+            results.append((cosine < least).flatten())
+        return torch.cat(results)
+
+    positions, turned = wanted, turned_over(wanted)
+    if turned.any():
+        free, share = ~turned_over(safe), wanted.new_ones(len(wanted), 1)
+        while (turned & free).any():
+            back = faces[turned & free].unique()
+            share[back] = torch.where(share[back] > 0.125, share[back] / 2, 0)
+            positions = safe.lerp(wanted, share)
+            turned = turned_over(positions)
+    return positions

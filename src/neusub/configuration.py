@@ -32,6 +32,7 @@ class Architecture:
     bound: Bound | None = None  # of displacements (`bounds.py`)
     trained: int = 2  # levels; beyond them `settle` acts
     settle: float = 0.0  # vertices go over to Loop's points where heights are below this many edges; 0: they do not
+    unturned: bool = False  # no triangle is turned over that is not in the midpoint refinement (`bounds.py`)
 
     def __post_init__(self) -> None:
         check_bound(self.bound)
@@ -53,6 +54,7 @@ class TrainingConfig:
     bound: Bound = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
     sharp: float = 0.0  # of the trained model; `network` has that of the training
     settle: float = 0.0  # of the trained model, beyond `levels`
+    unturned: bool = False  # of the trained model
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
     device: str = "auto"
@@ -65,8 +67,9 @@ class TrainingConfig:
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: take at least 1.")
         check_bound(self.bound)
-        if self.network.settle:
-            raise ValueError(f"network.settle = {self.network.settle}: give the training's own `settle`, for use.")
+        if self.network.settle or self.network.unturned:
+            raise ValueError(f"network.settle = {self.network.settle}, network.unturned = {self.network.unturned}: "
+                             "give the training's own, for use.")
         if not 0 <= self.shallow <= 1:
             raise ValueError(f"shallow = {self.shallow}: take a share, 0 to 1.")
         if not self.learning_rate > 0:
@@ -80,7 +83,7 @@ PRESETS = {
                               shallow=0.6, loss="surface",
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.05),
+                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.05, unturned=True),
 }
 
 

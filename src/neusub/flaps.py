@@ -12,11 +12,12 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float, Int, Int64
+from numpy import ndarray
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
-from neusub.topology import Topology
+from neusub.topology import Topology, refine_corners
 
 __all__ = ["FlapGroups", "LevelFlaps", "by_columns", "gather_corners", "level_flaps", "pool", "sum_slots"]
 
@@ -84,6 +85,13 @@ class LevelFlaps:
     by_vertex: FlapGroups
     by_edge: FlapGroups
     edges: Int[Tensor, "nE 2"]
+    faces: Int64[ndarray, "nF 3"]
+    face_edges: Int64[ndarray, "nF 3"]
+
+    def refined_faces(self) -> Int[Tensor, "4*nF 3"]:
+        """Faces of the next level, on the device."""
+        refined = refine_corners(self.faces, self.face_edges + (len(self.by_vertex.offsets) - 1))
+        return torch.as_tensor(refined, device=self.edges.device)
 
 
 def level_flaps(topology: Topology, device: torch.device | str = "cpu") -> LevelFlaps:
@@ -100,7 +108,7 @@ def level_flaps(topology: Topology, device: torch.device | str = "cpu") -> Level
                           torch.as_tensor(offsets, device=device))
 
     return LevelFlaps(groups(by_origin, starts), groups(slice(None), np.arange(0, len(flaps) + 1, 2)),
-                      torch.as_tensor(topology.edges, device=device))
+                      torch.as_tensor(topology.edges, device=device), topology.faces, topology.face_edges)
 
 
 class _SumRows(torch.autograd.Function):

@@ -22,7 +22,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import linear, relu, silu
 
-from neusub.bounds import around_edges, around_vertices, bounded, flattened, settled
+from neusub.bounds import around_edges, around_vertices, bounded, face_normals, flattened, settled, unturned
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, pool, sum_slots
 from neusub.frames import (
@@ -164,7 +164,11 @@ class NeuralSubdivision(nn.Module):
             vectors = torch.cat([vectors, vertex_normals(first, positions)], dim=1)
         seen = vertex_turns(first, positions.detach()) if self.plan.turns else None
         move, values, _ = self.initial(first, positions, Values(seen, vectors))
-        positions = put(positions + move, given[0])
+        start, positions = put(positions, given[0]), put(positions + move, given[0])
+        if self.plan.unturned:
+            faces = torch.tensor(levels[0].faces, device=positions.device)
+            normals = face_normals(faces, start)
+            positions = unturned(faces, normals, start, positions)
         outputs = [positions]
         for k, level in enumerate(levels):
             before = positions
@@ -177,6 +181,9 @@ class NeuralSubdivision(nn.Module):
             if self.plan.settle and k >= self.plan.trained:
                 positions = settled(level, before, positions, self.plan.settle, self.plan.sharp)
             positions = put(positions, given[k + 1])
+            if self.plan.unturned:
+                safe = put(torch.cat([before, means(level, before)]), given[k + 1])
+                positions = unturned(level.refined_faces(), normals, safe, positions)
             outputs.append(positions)
             if not is_last:
                 between = Values(*(None if v is None else means(level, v) for v in values))

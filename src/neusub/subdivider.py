@@ -6,6 +6,7 @@ on, under which licence, for which kind of input and at which scale.
 
 from __future__ import annotations
 
+import copy
 import json
 from importlib import resources
 from pathlib import Path
@@ -13,7 +14,7 @@ from typing import Any, Literal
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Float64, Int64
 from numpy import ndarray
 from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
@@ -33,6 +34,7 @@ __all__ = ["Subdivider", "model_names", "subdivide"]
 
 FORMAT = "neusub-model-1"
 DEFAULT_MODEL = "default"
+THIN = 1e-6  # an altitude, of the largest coordinate
 Scheme = Literal["neural", "loop", "butterfly", "midpoint"]
 Scale = Literal["edge", "box", "none"]
 Input = Literal["on_surface", "decimated"]
@@ -144,7 +146,10 @@ class Subdivider:
         components = [component]
         for topology in topologies:
             components.append(np.concatenate([components[-1], components[-1][topology.edges[:, 0]]]))
-        weight = next(self.network.parameters())
+        network = self.network
+        if has_thin_faces((vertices - centre[component]) * factor[component, None], topologies[0].faces):
+            network = copy.deepcopy(network).double()
+        weight = next(network.parameters())
 
         def seen(positions: ndarray, component: ndarray) -> torch.Tensor:
             values = (positions - centre[component]) * factor[component, None]
@@ -155,7 +160,7 @@ class Subdivider:
             for (index, places), component in zip(given, components)]
         with torch.inference_mode():
             flaps = [level_flaps(topology, weight.device) for topology in topologies]
-            outputs = self.network(seen(vertices, component), flaps, puts)
+            outputs = network(seen(vertices, component), flaps, puts)
             del flaps
         return [output.cpu().numpy() / factor[component, None] + centre[component]
                 for output, component in zip(outputs, components)]
@@ -208,6 +213,17 @@ def _mean_edges(vertices, topology: Topology, component: Int64[ndarray, " nV"], 
     lengths = np.linalg.norm(vertices[a] - vertices[b], axis=1)
     mean = np.bincount(component[a], lengths, count) / np.bincount(component[a], minlength=count)
     return np.where(mean > 0, mean, 1.0)
+
+
+def has_thin_faces(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> bool:
+    """Whether single precision cannot tell on which side of its longest edge some triangle lies.
+
+    Those without area have no sides.
+    """
+    a, b, c = (vertices[column] for column in faces.T)
+    doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
+    longest = np.sqrt(np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
+    return bool(((doubled > 0) & (doubled < THIN * np.abs(vertices).max() * longest)).any())
 
 
 def checked_architecture(entries: dict[str, Any]) -> Architecture:

@@ -111,7 +111,8 @@ class _Run:
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
         plan = replace(self.config.network, bound=self.config.bound, sharp=self.config.sharp,
-                       settle=self.config.settle, trained=max(pair.levels for pair in self.pairs))
+                       settle=self.config.settle, unturned=self.config.unturned,
+                       trained=max(pair.levels for pair in self.pairs))
         network = NeuralSubdivision(plan)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
@@ -277,7 +278,7 @@ def load_checkpoint(path: Path, run: _Run) -> None:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
-    free = {"device", "threads", "checkpoint_every", "bound", "sharp", "settle"}  # do not change what is learned
+    free = {"device", "threads", "checkpoint_every", "bound", "sharp", "settle", "unturned"}  # nothing that is learned
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
     lengths = [config["epochs"] / config.get("cycles", 1) for config in (header["config"], here)]
     if run.config.schedule == "constant" or lengths[0] == lengths[1]:  # a run may go on for more cycles
