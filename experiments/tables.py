@@ -18,7 +18,8 @@ import numpy as np
 from experiments.common import HERE, parser_of
 
 ROOT = HERE.parent
-LABELS = {"loop": "Loop", "elephant": "`elephant`", "default": "`default`"}
+LABELS = {"loop": "Loop", "elephant": "`elephant`", "default": "`default`",
+          "default, uncross": "`default`, `--uncross`"}
 ALL = ("midpoint", "loop", "butterfly", "elephant", "default")
 MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -139,8 +140,9 @@ def upsampling() -> str:
 def cages() -> str:
     data = results("cages")["cages"].values()
     rows = [[label(m), *(text for kind in ("turned", "crossing") for counts in ([cage[m][kind] for cage in data],)
-                         for text in (str(sum(counts)), str(sum(count > 0 for count in counts))))] for m in ALL[1:]]
-    return markdown(["", "turned triangles", "cages with any", "crossing faces", "cages with any"], rows)
+                         for text in (str(sum(counts)), str(sum(count > 0 for count in counts))))]
+            for m in (*ALL[1:], "default, uncross")]
+    return markdown(["", "turned triangles", "cages with any", "crossing pairs", "cages with any"], rows)
 
 
 def ablation() -> str:

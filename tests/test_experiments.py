@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import ast
+import importlib
+
 import numpy as np
 import pytest
 from experiments import sources, tables
 from experiments.__main__ import names
-from experiments.common import volume
+from experiments.common import HERE, volume
 
 import shapes
 from neusub import Mesh
@@ -16,6 +19,17 @@ from neusub.metrics import face_normals
 def test_every_experiment_is_listed():
     assert {"table2", "fixed_inputs", "default", "robustness", "manmade"} <= set(names())
     assert not {"common", "sources", "analytic"} & set(names())
+
+
+@pytest.mark.parametrize("path", sorted(path for folder in ("experiments", "benchmarks", "examples")
+                                        for path in (HERE.parent / folder).glob("*.py")), ids=lambda path: path.stem)
+def test_what_experiments_and_examples_take_from_the_package_is_public(path):
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.ImportFrom) and (node.module or "").split(".")[0] == "neusub":
+            public = importlib.import_module(node.module).__all__
+            assert {name.name for name in node.names} <= set(public), node.module
+        elif isinstance(node, ast.Attribute):
+            assert not node.attr.startswith("_") or node.attr.startswith("__"), node.attr
 
 
 @pytest.mark.parametrize("number", range(6))

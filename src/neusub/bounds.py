@@ -5,6 +5,9 @@ turned over.  Not in the paper.
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import cache
+
 import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
@@ -13,7 +16,8 @@ from neusub.configuration import Bound
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
 from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turns
 
-__all__ = ["around_edges", "around_vertices", "bounded", "face_normals", "flattened", "settled", "unturned"]
+__all__ = ["around_edges", "around_vertices", "bounded", "face_normals", "flattened", "moved_back", "settled",
+           "unturned"]
 
 SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
 
@@ -169,8 +173,6 @@ def unturned(
     """The wanted positions, but no triangle turned over that is not in the safe ones, the midpoint refinement's.
 
     normals: of the input's faces; those of `faces` come from them block by block.
-    The vertices of a triangle that is turned over go half of their way back, until none is; from an eighth of the way
-    on they go back whole.  This ends, as those of a triangle that is left are safe at last.
     """
     def turned_over(positions: Tensor) -> Bool[Tensor, " n"]:
         columns, results = by_columns(positions), []
@@ -181,12 +183,27 @@ def unturned(
             results.append((cosine < least).flatten())
         return torch.cat(results)
 
-    positions, turned = wanted, turned_over(wanted)
-    if turned.any():
-        free, share = ~turned_over(safe), wanted.new_ones(len(wanted), 1)
-        while (turned & free).any():
-            back = faces[turned & free].unique()
-            share[back] = torch.where(share[back] > 0.125, share[back] / 2, 0)
-            positions = safe.lerp(wanted, share)
-            turned = turned_over(positions)
+    @cache
+    def before() -> Bool[Tensor, " n"]:
+        return turned_over(safe)
+
+    def corners(positions: Tensor) -> Int[Tensor, " k"]:
+        turned = turned_over(positions)
+        return faces[turned & ~before()].unique() if turned.any() else faces.new_empty(0)
+
+    return moved_back(safe, wanted, corners)
+
+
+def moved_back(
+    safe: Float[Tensor, "nV 3"], wanted: Float[Tensor, "nV 3"], wrong: Callable[[Tensor], Int[Tensor, " k"]]
+) -> Float[Tensor, "nV 3"]:
+    """The wanted positions, where nothing is wrong with them; else part of the way back to the safe ones.
+
+    wrong: which vertices take part in what is wrong at some positions and would not be if they all were safe.
+    They go half of their way back, until nothing is; from an eighth of the way on, all of it, so that this ends.
+    """
+    positions, share = wanted, wanted.new_ones(len(wanted), 1)
+    while len(back := wrong(positions)):
+        share[back] = torch.where(share[back] > 0.125, share[back] / 2, 0)
+        positions = safe.lerp(wanted, share)
     return positions

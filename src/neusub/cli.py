@@ -26,6 +26,7 @@ def subdivide_command(
     input: Literal["on_surface", "decimated"] | None = None,
     scale: Literal["edge", "box", "none"] = "edge",
     crease_angle: float | None = None,
+    uncross: bool = False,
     all_levels: bool = False,
     device: str = "auto",
     overwrite: bool = False,
@@ -42,6 +43,7 @@ def subdivide_command(
         input: Where the coarse vertices lie, if not on the surface: 'decimated' for meshes that a decimation made.
         scale: What is brought to the training's scale: each part's mean edge, the whole box, or nothing.
         crease_angle: Edges sharper than this (degrees) stay creases; not with midpoint.
+        uncross: Take displacements back where they push the surface through itself.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         device: auto, cpu, cuda, ...
         overwrite: Replace files that exist.
@@ -59,7 +61,7 @@ def subdivide_command(
         from neusub.subdivider import DEFAULT_MODEL, subdivide
 
         results = subdivide(mesh, scheme, levels, model=model or DEFAULT_MODEL, limit_levels=limit_levels,
-                            scale=scale, input=input, device=device, crease_angle=crease_angle)
+                            scale=scale, input=input, device=device, crease_angle=crease_angle, uncross=uncross)
         for level, place in zip(results[-len(targets) :], targets):
             save(level, place, overwrite=overwrite)
         return [*notes, f"{path}: {len(mesh.faces):,} -> {len(results[-1].faces):,} faces: {targets[-1]}"]
@@ -259,6 +261,7 @@ def remesh_command(
         levels: Of refinement over the base.
         strategy: How the base is decimated (see 'neusub decimate').
         seed: Of the random strategy.
+        uncross: Take displacements back where they push the surface through itself.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         overwrite: Replace files that exist.
     """

@@ -33,7 +33,7 @@ from neusub.selfparam.criteria import refusals
 from neusub.selfparam.parameterization import refinement
 from neusub.selfparam.report import map_report, triangle_report
 
-__all__ = ["PairReport", "PairStream", "make_pair", "make_pairs"]
+__all__ = ["PairReport", "PairStream", "generator_of", "in_unit_box", "make_pair", "make_pairs", "summary"]
 
 BLOCK = 10  # pairs of one task: what an interruption loses at most, a worker
 SPLITS = ("train", "validation")
@@ -77,6 +77,7 @@ def in_unit_box(mesh: Mesh) -> Mesh:
 
 
 def generator_of(seed: int, split: str, source_hash: str, number: int) -> np.random.Generator:
+    """The random numbers of one pair: of the seed, its half of the data, its source and its number there alone."""
     return np.random.default_rng([seed, SPLITS.index(split), int(source_hash, 16), number])
 
 

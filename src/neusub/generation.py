@@ -32,7 +32,7 @@ from neusub.files import replacing
 from neusub.flaps import LevelFlaps, level_flaps
 from neusub.topology import Topology, refine_faces, topology_levels
 
-__all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "pair_files", "save_pairs"]
+__all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "pair_files", "read_header", "save_pairs"]
 
 FORMAT = "neusub-pairs-1"
 SMOOTH = 1e-5  # distances well below this count squared in the loss "distance"; the unit box's side is 1

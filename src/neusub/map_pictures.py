@@ -22,7 +22,10 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
-__all__ = ["render_map"]
+__all__ = [
+    "Surface", "View", "checkerboard", "coloured_fine", "edge_images", "face_colors", "levels_within", "render_map",
+    "surface_picture",
+]
 
 DETAIL = 3  # small faces for each pixel of a panel, at most: surfaces are split so that borders of colours are crisp
 STEPS = 48  # straight pieces in the image of a coarse edge

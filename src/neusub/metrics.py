@@ -15,7 +15,7 @@ from numpy.random import Generator
 
 from neusub.mesh import Mesh
 
-__all__ = ["Distance", "distance", "point_distance", "sample_surface", "triangle_quality"]
+__all__ = ["Distance", "distance", "face_normals", "point_distance", "sample_surface", "triangle_quality"]
 
 
 @dataclass(frozen=True)

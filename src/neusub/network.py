@@ -37,7 +37,7 @@ from neusub.frames import (
     vertex_turns,
 )
 
-__all__ = ["HalfFlapMLP", "NeuralSubdivision"]
+__all__ = ["HalfFlapMLP", "NeuralSubdivision", "Values"]
 
 Given = tuple[Tensor, Tensor] | None  # vertices (k,), and their positions (k, 3)
 

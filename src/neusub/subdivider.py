@@ -22,6 +22,7 @@ from safetensors.torch import save_file
 from neusub import __version__
 from neusub.configuration import Architecture
 from neusub.creases import cut_open, marked_creases, refine_creases
+from neusub.crossing import uncrossed
 from neusub.errors import ModelError
 from neusub.files import replacing
 from neusub.flaps import level_flaps
@@ -258,11 +259,13 @@ def subdivide(
     device: str = "auto",
     creases: Any = None,
     crease_angle: float | None = None,
+    uncross: bool = False,
 ) -> list[Mesh]:
     """Refine a mesh by a network or a classical scheme; the list of its levels, 0 first.
 
     limit_levels: levels of Loop after that.  model, scale, input, device: of the neural scheme (`Subdivider`).  creases
     (edges as vertex pairs) or crease_angle (degrees): edges that stay sharp; midpoint has no use for them.
+    uncross: no faces cross that do not in the midpoint refinement (`crossing.uncrossed`).
     Raises ValueError for an unknown scheme, negative levels, or creases with midpoint.
     """
     if levels < 0 or limit_levels < 0:
@@ -271,7 +274,9 @@ def subdivide(
         raise ValueError("the scheme 'midpoint' has no creases. Use another scheme, or leave them out.")
     if scheme == "neural":
         model = model if isinstance(model, Subdivider) else Subdivider.load(model, device=device)
-        return model.subdivide(mesh, levels, limit_levels, scale=scale, input=input, creases=creases,
-                               crease_angle=crease_angle)
-    return subdivide_classic(mesh, scheme, levels, creases=creases, crease_angle=crease_angle,
-                             limit_levels=limit_levels)
+        result = model.subdivide(mesh, levels, limit_levels, scale=scale, input=input, creases=creases,
+                                 crease_angle=crease_angle)
+    else:
+        result = subdivide_classic(mesh, scheme, levels, creases=creases, crease_angle=crease_angle,
+                                   limit_levels=limit_levels)
+    return uncrossed(mesh, result) if uncross else result

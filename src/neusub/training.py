@@ -30,7 +30,7 @@ from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, r
 from neusub.network import NeuralSubdivision
 from neusub.subdivider import Subdivider, resolve_device
 
-__all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "train"]
+__all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "mean_coarse_edge", "set_rate", "train"]
 
 EDGE = 0.1  # mean coarse edge that pairs are brought to for a network that knows no scale: about the paper's
 KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed

@@ -24,7 +24,7 @@ from neusub.errors import ParameterizationError
 from neusub.selfparam.parameterization import SelfParameterization, refinement, weighted
 from neusub.selfparam.signals import inside, signed_areas, transfer_corners
 
-__all__ = ["bake", "png_bytes", "sample_texture"]
+__all__ = ["bake", "checked_texture", "png_bytes", "sample_texture"]
 
 MARGIN = 2
 SMALLEST, STEP, LARGEST = 4, 2, 256  # sizes of patches: multiples of the step, so that few are in use
@@ -80,6 +80,7 @@ def png_bytes(image: UInt8[ndarray, "h w c"]) -> bytes:
 
 
 def checked_texture(texture: ndarray | bytes) -> UInt8[ndarray, "h w c"]:
+    """A texture's pixels, from an image or a file's bytes.  Raises ParameterizationError for what is neither."""
     from PIL import Image, UnidentifiedImageError
 
     if isinstance(texture, bytes):
