@@ -100,18 +100,20 @@ def main() -> None:
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--input", choices=tuple(NAMES), default="on_surface")
     parser.add_argument("--epochs", type=int, default=PRESETS["default"].epochs)
+    parser.add_argument("--cycles", type=int, default=PRESETS["default"].cycles, help="of the learning rate")
     parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
     options = parser.parse_args()
     recipe = json.loads((HERE / "recipes" / "default.json").read_text())
     training, validation = pair_files(recipe, options.meshes, options.runs / "default-pairs")
     if options.input == "on_surface":
         training += closed_form_files(recipe, options.runs / "default-pairs")
-    config = replace(PRESETS["default"], input=options.input, epochs=options.epochs, seed=options.seed,
-                     threads=options.threads)
+    config = replace(PRESETS["default"], input=options.input, epochs=options.epochs, cycles=options.cycles,
+                     seed=options.seed, threads=options.threads)
     folder = options.runs / f"default-{options.input}-{options.seed}"
     result = train(training, validation, folder, config, resume=True, on_epoch=show)
     origin = provenance(options)
-    write_results(f"default-{options.input}", {**origin, **training_scores(result)})
+    name = f"default-{options.input}" + (f"-seed{options.seed}" if options.seed else "")
+    write_results(name, {**origin, **training_scores(result)})
     if options.ship:
         result.model.card = card_of(result.model.card, recipe, options.input)
         ship(NAMES[options.input], origin["command"], DESCRIPTIONS[options.input], result)
