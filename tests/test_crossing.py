@@ -1,12 +1,19 @@
 """Which faces cross, and refinements in which none do."""
 
+import subprocess
+import sys
+
 import numpy as np
 import pytest
+import torch
+from experiments.robustness import turned
 
 import neusub
 import shapes
 from neusub.crossing import crossing_pairs, uncrossed
 from neusub.mesh import Mesh
+from neusub.subdivider import Subdivider
+from test_network import random_network
 
 
 def pierced_triangle() -> Mesh:
@@ -44,13 +51,40 @@ def test_a_scheme_that_pushes_the_surface_through_itself_is_held(make):
     assert 0.3 < same.mean() < 1  # where nothing crosses, the scheme's own points
 
 
-def test_what_crosses_in_the_input_stays_and_ends_the_search():
+def pairs_of(mesh: Mesh) -> set[tuple[int, int]]:
+    return {(a, b) for a, b in crossing_pairs(mesh.vertices, mesh.faces).tolist()}
+
+
+def test_what_crosses_in_the_input_may_stay_and_nothing_comes_to_it():
     mesh = pierced_triangle()
-    wanted = neusub.subdivide(mesh, "loop", 1)
     midpoints = neusub.subdivide(mesh, "midpoint", 1)[-1]
-    allowed = {tuple(pair) for pair in crossing_pairs(midpoints.vertices, midpoints.faces).tolist()}
-    held = uncrossed(mesh, wanted)[-1]
-    assert {tuple(pair) for pair in crossing_pairs(held.vertices, held.faces).tolist()} <= allowed
+    noise = 0.3 * np.random.default_rng(0).standard_normal(midpoints.vertices.shape)
+    noise[: len(mesh.vertices)] = 0
+    wanted = midpoints.replace_vertices(midpoints.vertices + noise)
+    held = pairs_of(uncrossed(mesh, [mesh, wanted])[-1])
+    assert pairs_of(wanted) - pairs_of(midpoints)
+    assert held and held <= pairs_of(midpoints)
+
+
+@pytest.mark.parametrize("make", [shapes.pocket, lambda: shapes.bumpy(shapes.torus(10, 8), 0.5),
+                                  lambda: shapes.bumpy(shapes.grid(6, 5), 0.2)])
+def test_what_is_taken_back_turns_nothing_over(make):
+    """Vertices that go back by different shares could turn over what neither the scheme nor midpoints do."""
+    mesh = Mesh(*make())
+    network = random_network(dtype=torch.float64, vectors=2, relative=True, unturned=True)
+    card = {"architecture": {}, "input": "on_surface", "scale": {"box": 1.0, "edge": 1.0}}
+    levels = Subdivider(network, card).subdivide(mesh)
+    held = uncrossed(mesh, levels)
+    assert turned([mesh, *held[1:]]) == turned([mesh, *levels[1:]]) == [0, 0, 0]
+    assert len(pairs_of(held[-1])) == 0
+    assert turned(neusub.subdivide(mesh, "butterfly", uncross=True)) == [0, 0, 0]  # its level 0 is the mesh
+
+
+def test_the_command_takes_it(tmp_path):
+    neusub.save(Mesh(*shapes.bumpy(shapes.torus(10, 8), 0.5)), tmp_path / "in.ply")
+    words = ["neusub", "subdivide", "in.ply", "-o", "out.ply", "--scheme", "butterfly", "--uncross"]
+    subprocess.run([sys.executable, "-m", *words], cwd=tmp_path, check=True)
+    assert len(pairs_of(neusub.load(tmp_path / "out.ply"))) == 0
 
 
 def test_where_nothing_crosses_nothing_changes():

@@ -106,7 +106,7 @@ def test_pairs_of_several_depths_train_together_each_as_deep_as_it_is(files, tmp
 
 
 def test_mixed_precision_trains_the_default_network(files, tmp_path):
-    config = replace(PRESETS["default"], epochs=1, levels=2, precision="bf16-mixed", device="cpu")
+    config = replace(PRESETS["default"], epochs=1, cycles=1, levels=2, precision="bf16-mixed", device="cpu")
     assert np.isfinite(train(*files, tmp_path / "run", config).best_loss)
 
 
@@ -136,6 +136,8 @@ def test_a_run_goes_on_for_another_cycle_as_if_asked_for_it_at_the_start(files, 
     train(*files, tmp_path / "parts", replace(config, epochs=2, cycles=1))
     with pytest.raises(TrainingError, match="epochs"):
         train(*files, tmp_path / "parts", replace(config, cycles=1), resume=True)
+    with pytest.raises(ValueError, match="multiple"):
+        replace(config, epochs=5)
     parts = train(*files, tmp_path / "parts", config, resume=True)
     assert (parts.best_loss, parts.best_epoch) == (whole.best_loss, whole.best_epoch)
     states = [load_file(tmp_path / run / "checkpoint.safetensors") for run in ("whole", "parts")]

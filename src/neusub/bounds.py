@@ -16,8 +16,8 @@ from neusub.configuration import Bound
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
 from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turns
 
-__all__ = ["around_edges", "around_vertices", "bounded", "face_normals", "flattened", "moved_back", "settled",
-           "unturned"]
+__all__ = ["area_normals", "around_edges", "around_vertices", "bounded", "flattened", "moved_back", "settled",
+           "turned_corners", "unturned"]
 
 SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
 
@@ -160,7 +160,7 @@ def bounded(
     return move * ((1 + ratio.square()) ** -0.25 * (limit / NOTHING).clamp(max=1))[:, None]
 
 
-def face_normals(faces: Int[Tensor, "nF 3"], positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 nF"]:
+def area_normals(faces: Int[Tensor, "nF 3"], positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 nF"]:
     """Normals of the faces, as long as their double areas; one row a coordinate."""
     a, b, c = positions.T.index_select(1, faces.T.reshape(-1)).view(3, 3, -1).unbind(1)
     return cross(b - a, c - a)
@@ -170,16 +170,24 @@ def unturned(
     faces: Int[Tensor, "k*nF_0 3"], normals: Float[Tensor, "3 nF_0"], safe: Float[Tensor, "nV 3"],
     wanted: Float[Tensor, "nV 3"],
 ) -> Float[Tensor, "nV 3"]:
-    """The wanted positions, but no triangle turned over that is not in the safe ones, the midpoint refinement's.
+    """The wanted positions, but no triangle turned over that is not in the safe ones: the midpoints of the level before
+    and, on creases, given points."""
+    return moved_back(safe, wanted, turned_corners(faces, normals, safe))
 
-    normals: of the input's faces; those of `faces` come from them block by block.
+
+def turned_corners(
+    faces: Int[Tensor, "k*nF_0 3"], normals: Float[Tensor, "3 nF_0"], safe: Float[Tensor, "nV 3"]
+) -> Callable[[Tensor], Int[Tensor, " n"]]:
+    """For `moved_back`: the corners of triangles that some positions turn over, and the safe ones do not.
+
+    normals: `area_normals` of the input's faces; those of `faces` come from them block by block.
     """
     def turned_over(positions: Tensor) -> Bool[Tensor, " n"]:
         columns, results = by_columns(positions), []
         for part in faces.split(normals.shape[1] * max(1, CHUNK // normals.shape[1])):
-            now = face_normals(part, columns).unflatten(1, (-1, normals.shape[1]))
+            now = area_normals(part, columns).unflatten(1, (-1, normals.shape[1]))
             cosine = (now * normals[:, None]).sum(0)  # times both lengths
-            least = TURNED * (now.square().sum(0) * normals.square().sum(0)).sqrt()
+            least = TURNED * now.square().sum(0).sqrt() * normals.square().sum(0).sqrt()
             results.append((cosine < least).flatten())
         return torch.cat(results)
 
@@ -191,7 +199,7 @@ def unturned(
         turned = turned_over(positions)
         return faces[turned & ~before()].unique() if turned.any() else faces.new_empty(0)
 
-    return moved_back(safe, wanted, corners)
+    return corners
 
 
 def moved_back(
@@ -199,8 +207,9 @@ def moved_back(
 ) -> Float[Tensor, "nV 3"]:
     """The wanted positions, where nothing is wrong with them; else part of the way back to the safe ones.
 
-    wrong: which vertices take part in what is wrong at some positions and would not be if they all were safe.
-    They go half of their way back, until nothing is; from an eighth of the way on, all of it, so that this ends.
+    wrong: the vertices that take part in what is wrong at some positions.  They go half of their way back, until
+    nothing is; from an eighth of the way on, all of it.  This ends if nothing is ever wrong whose vertices all are in
+    their safe places: `wrong` has to pass over what is wrong there already.
     """
     positions, share = wanted, wanted.new_ones(len(wanted), 1)
     while len(back := wrong(positions)):

@@ -43,7 +43,7 @@ def subdivide_command(
         input: Where the coarse vertices lie, if not on the surface: 'decimated' for meshes that a decimation made.
         scale: What is brought to the training's scale: each part's mean edge, the whole box, or nothing.
         crease_angle: Edges sharper than this (degrees) stay creases; not with midpoint.
-        uncross: Take displacements back where they push the surface through itself.
+        uncross: Take displacements back where they push the surface through itself or turn it over.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         device: auto, cpu, cuda, ...
         overwrite: Replace files that exist.
@@ -261,7 +261,6 @@ def remesh_command(
         levels: Of refinement over the base.
         strategy: How the base is decimated (see 'neusub decimate').
         seed: Of the random strategy.
-        uncross: Take displacements back where they push the surface through itself.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         overwrite: Replace files that exist.
     """

@@ -98,6 +98,7 @@ def train_command(
     validation: tuple[Path, ...] = (),
     preset: Literal["paper", "fast", "default"] = "paper",
     epochs: int | None = None,
+    cycles: int | None = None,
     batch: int | None = None,
     learning_rate: float | None = None,
     levels: int | None = None,
@@ -117,6 +118,8 @@ def train_command(
         preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs; default:
             the network that 'neusub subdivide' uses, which knows no scale and has bounds.
         epochs: Instead of the preset's; so are the following.
+        cycles: How often the learning rate of a cosine schedule goes down and starts anew; a divisor of the epochs. A
+            run goes on for another: so many times the epochs and the cycles, with --resume.
         batch: Meshes a step.
         learning_rate: Of Adam.
         levels: Levels of the network.
@@ -128,8 +131,8 @@ def train_command(
         threads: CPU threads.
         resume: Go on with the run in OUT.
     """
-    given = {"epochs": epochs, "batch": batch, "learning_rate": learning_rate, "levels": levels, "input": input,
-             "loss": loss, "seed": seed, "device": device, "threads": threads}
+    given = {"epochs": epochs, "cycles": cycles, "batch": batch, "learning_rate": learning_rate, "levels": levels,
+             "input": input, "loss": loss, "seed": seed, "device": device, "threads": threads}
 
     def work(_: Path) -> list[str]:
         from neusub.generation import pair_files

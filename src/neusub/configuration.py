@@ -46,7 +46,7 @@ class TrainingConfig:
     batch: int = 1  # meshes a step
     learning_rate: float = 2e-3
     schedule: Literal["constant", "cosine"] = "constant"  # cosine goes down to zero at the end of each cycle
-    cycles: int = 1  # of the cosine: the rate starts anew so often (SGDR, Loshchilov and Hutter 2017)
+    cycles: int = 1  # of the cosine: each starts at the full rate (SGDR, Loshchilov and Hutter 2017)
     levels: int = 2  # at most; pairs with fewer are taken as deep as they are
     shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
@@ -66,6 +66,8 @@ class TrainingConfig:
         for name in ("epochs", "batch", "levels", "cycles", "checkpoint_every"):
             if getattr(self, name) < 1:
                 raise ValueError(f"{name} = {getattr(self, name)}: take at least 1.")
+        if self.epochs % self.cycles:
+            raise ValueError(f"epochs = {self.epochs}, cycles = {self.cycles}: take a multiple, or one cycle.")
         check_bound(self.bound)
         if self.network.settle or self.network.unturned:
             raise ValueError(f"network.settle = {self.network.settle}, network.unturned = {self.network.unturned}: "

@@ -1,5 +1,5 @@
 """Triangles that cross each other where midpoints would not: displacements that push the surface through itself are
-taken back.
+taken back, whatever scheme they are of.
 
 Crossings are found exactly, by CGAL, which libigl's Python package carries (`igl.copyleft`, under the GPL); only who
 asks for `uncross` calls it.
@@ -7,20 +7,25 @@ asks for `uncross` calls it.
 
 from __future__ import annotations
 
+from functools import cache
+
 import numpy as np
 import torch
 from jaxtyping import Float64, Int64
 from numpy import ndarray
 from torch import Tensor
 
-from neusub.bounds import moved_back
+from neusub.bounds import area_normals, moved_back, turned_corners
 from neusub.mesh import Mesh
 
 __all__ = ["crossing_pairs", "uncrossed"]
 
 
 def crossing_pairs(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Int64[ndarray, "n 2"]:
-    """Pairs of faces that meet elsewhere than in a common vertex or edge, smaller index first, sorted."""
+    """Pairs of faces that meet elsewhere than in a common vertex or edge, smaller index first, sorted.
+
+    Faces without area cross nothing.
+    """
     from igl.copyleft.cgal import remesh_self_intersections
 
     found = remesh_self_intersections(np.ascontiguousarray(vertices), np.ascontiguousarray(faces), detect_only=True)[2]
@@ -28,29 +33,36 @@ def crossing_pairs(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF
 
 
 def uncrossed(mesh: Mesh, levels: list[Mesh]) -> list[Mesh]:
-    """Levels 0 .. L of a mesh's refinement, with no faces crossing that do not cross in the midpoint refinement of the
-    level before (at level 0, in the mesh itself): their vertices go back there by halves (`bounds.moved_back`).
+    """Levels 0 .. L of a mesh's refinement, with no faces crossing and no triangle turned over (away from the mesh's
+    face that it comes from) that is not in the midpoint refinement of the level before; at level 0, in the mesh itself.
+
+    The vertices go back there by halves (`bounds.moved_back`), points of creases too.
     """
+    normals = area_normals(torch.tensor(mesh.faces), torch.tensor(mesh.vertices))
     results, safe = [], mesh.vertices
     for level in levels:
-        results.append(level.replace_vertices(_uncrossed_level(level.faces, safe, level.vertices)))
+        results.append(level.replace_vertices(_uncrossed_level(level.faces, normals, safe, level.vertices)))
         edges = level.topology.edges if level is not levels[-1] else np.empty((0, 2), dtype=np.int64)
         safe = np.concatenate([results[-1].vertices, results[-1].vertices[edges].mean(axis=1)])
     return results
 
 
-def _uncrossed_level(faces: ndarray, safe: ndarray, wanted: ndarray) -> ndarray:
-    before: ndarray | None = None
-
+def _uncrossed_level(faces: ndarray, normals: Tensor, safe: ndarray, wanted: ndarray) -> ndarray:
     def keys(vertices: ndarray) -> ndarray:
         return crossing_pairs(vertices, faces) @ [len(faces), 1]
 
-    def crossing(positions: Tensor) -> Tensor:
-        nonlocal before
-        found = keys(positions.numpy())
-        if len(found) and before is None:
-            before = keys(safe)
-        new = np.setdiff1d(found, before) if len(found) else found
-        return torch.as_tensor(np.unique(faces[np.stack(np.divmod(new, len(faces)))]))
+    @cache
+    def before() -> ndarray:
+        return keys(safe)
 
-    return moved_back(torch.tensor(safe), torch.tensor(wanted), crossing).numpy()
+    def crossing(positions: Tensor) -> Tensor:
+        found = keys(positions.numpy())
+        new = np.setdiff1d(found, before()) if len(found) else found
+        return torch.as_tensor(faces[np.stack(np.divmod(new, len(faces)))].reshape(-1))
+
+    turned = turned_corners(torch.tensor(faces), normals, torch.tensor(safe))
+
+    def wrong(positions: Tensor) -> Tensor:
+        return torch.cat([crossing(positions), turned(positions)]).unique()
+
+    return moved_back(torch.tensor(safe), torch.tensor(wanted), wrong).numpy()

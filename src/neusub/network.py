@@ -22,7 +22,7 @@ from jaxtyping import Float
 from torch import Tensor, nn
 from torch.nn.functional import linear, relu, silu
 
-from neusub.bounds import around_edges, around_vertices, bounded, face_normals, flattened, settled, unturned
+from neusub.bounds import area_normals, around_edges, around_vertices, bounded, flattened, settled, unturned
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, pool, sum_slots
 from neusub.frames import (
@@ -167,7 +167,7 @@ class NeuralSubdivision(nn.Module):
         start, positions = put(positions, given[0]), put(positions + move, given[0])
         if self.plan.unturned:
             faces = torch.tensor(levels[0].faces, device=positions.device)
-            normals = face_normals(faces, start)
+            normals = area_normals(faces, start)
             positions = unturned(faces, normals, start, positions)
         outputs = [positions]
         for k, level in enumerate(levels):

@@ -265,7 +265,7 @@ def subdivide(
 
     limit_levels: levels of Loop after that.  model, scale, input, device: of the neural scheme (`Subdivider`).  creases
     (edges as vertex pairs) or crease_angle (degrees): edges that stay sharp; midpoint has no use for them.
-    uncross: no faces cross that do not in the midpoint refinement (`crossing.uncrossed`).
+    uncross: no faces cross or turn over that do not in the midpoint refinement of the level before (`crossing.py`).
     Raises ValueError for an unknown scheme, negative levels, or creases with midpoint.
     """
     if levels < 0 or limit_levels < 0:

@@ -219,8 +219,8 @@ def validate(model, batches: list[Batch], loss: str = "squared") -> float:
 
 def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
     """The learning rate of an epoch."""
-    done = epoch * config.cycles % config.epochs / config.epochs  # of the cycle
-    factors = {"constant": 1.0, "cosine": 0.5 * (1 + np.cos(np.pi * done))}
+    cycle = config.epochs // config.cycles
+    factors = {"constant": 1.0, "cosine": 0.5 * (1 + np.cos(np.pi * (epoch % cycle) / cycle))}
     if config.schedule not in factors:
         raise TrainingError(f"schedule {config.schedule!r} is not one of {', '.join(factors)}.")
     for group in optimizer.param_groups:
@@ -278,9 +278,9 @@ def load_checkpoint(path: Path, run: _Run) -> None:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
-    free = {"device", "threads", "checkpoint_every", "bound", "sharp", "settle", "unturned"}  # nothing that is learned
+    free = {"device", "threads", "checkpoint_every", "bound", "sharp", "settle", "unturned"}  # change nothing learned
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
-    lengths = [config["epochs"] / config.get("cycles", 1) for config in (header["config"], here)]
+    lengths = [config["epochs"] // config["cycles"] for config in ({**default, **header["config"]}, here)]
     if run.config.schedule == "constant" or lengths[0] == lengths[1]:  # a run may go on for more cycles
         free |= {"epochs", "cycles"}
     for field in fields(TrainingConfig):
