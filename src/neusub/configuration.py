@@ -85,7 +85,7 @@ PRESETS = {
                               shallow=0.6, loss="surface",
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.05, unturned=True),
+                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.2, unturned=True),
 }
 
 
