@@ -60,7 +60,7 @@ def inference(large: bool) -> None:
 
 
 def architectures() -> None:
-    """The networks alone, one thread, on the half-flaps of two levels of 20,000 faces."""
+    """The networks alone as they are in use, one thread, on the half-flaps of two levels of 20,000 faces."""
     torch.set_num_threads(1)
     mesh = torus(100, 100)
     topologies, _ = topology_levels(mesh.faces, len(mesh.vertices), 2)
@@ -69,7 +69,8 @@ def architectures() -> None:
     count = 2 * (len(topologies[0].edges) + 2 * sum(len(topology.edges) for topology in topologies))
     cost = {}
     for preset in ("paper", "default"):
-        plan = replace(PRESETS[preset].network, bound=PRESETS[preset].bound)
+        config = PRESETS[preset]
+        plan = replace(config.network, bound=config.bound, sharp=config.sharp, unturned=config.unturned)
         network = NeuralSubdivision(plan).eval().requires_grad_(False)
         with torch.inference_mode():
             cost[preset] = best_of(lambda network=network: network(positions, flaps), 5) / count
