@@ -101,11 +101,8 @@ class HalfFlapMLP(nn.Module):
         squared = squared_lengths(edges)
         size = sizes(squared) if self.plan.relative else None
         seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
-        if table is None:
-            hidden = torch.addmm(self.first.bias, seen, turned[0].T)
-        else:
-            hidden = sum_slots(groups, table)
-            hidden.addmm_(seen.to(hidden.dtype), turned[0].T.to(hidden.dtype))  # in mixed precision
+        hidden = self.first.bias.repeat(len(seen), 1) if table is None else sum_slots(groups, table)
+        hidden.addmm_(seen.to(hidden.dtype), turned[0].T.to(hidden.dtype))  # in mixed precision
         if vectors is not None:
             seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
             hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned[1].T.to(hidden.dtype))
@@ -126,10 +123,8 @@ class HalfFlapMLP(nn.Module):
             features = linear(pool(groups, hidden) / count, self.last.weight[given:], self.last.bias[given:])
         if self.bound is None and not self.plan.flat and not self.plan.sharp:
             return move, features, learned, None
-        if around is None:
-            around = around_vertices(groups, edges.detach(), axes.detach(), self.plan.sharp)
-        else:
-            around = around_edges(groups, around)
+        around = (around_vertices(groups, edges.detach(), axes.detach(), self.plan.sharp) if around is None else
+                  around_edges(groups, around))
         heights = around[:, 0].contiguous()
         if self.plan.sharp:
             move = move * around[:, -1:]
