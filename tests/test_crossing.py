@@ -80,6 +80,15 @@ def test_what_is_taken_back_turns_nothing_over(make):
     assert turned(neusub.subdivide(mesh, "butterfly", uncross=True)) == [0, 0, 0]  # its level 0 is the mesh
 
 
+@pytest.mark.parametrize("scheme", ["butterfly", "neural"])
+def test_creases_and_levels_of_the_limit_do_not_cross_either(scheme):
+    mesh = Mesh(*shapes.bumpy(shapes.torus(10, 8), 0.5))
+    levels = neusub.subdivide(mesh, scheme, 1, crease_angle=60, limit_levels=1, uncross=True)
+    assert [len(level.faces) for level in levels] == [160, 640, 2560]
+    assert not any(pairs_of(level) for level in levels)
+    assert turned([mesh, *levels[1:]]) == [0, 0, 0]
+
+
 def test_the_command_takes_it(tmp_path):
     neusub.save(Mesh(*shapes.bumpy(shapes.torus(10, 8), 0.5)), tmp_path / "in.ply")
     words = ["neusub", "subdivide", "in.ply", "-o", "out.ply", "--scheme", "butterfly", "--uncross"]
