@@ -67,13 +67,16 @@ def architectures() -> None:
     flaps = [level_flaps(topology) for topology in topologies]
     positions = torch.tensor(mesh.vertices, dtype=torch.float32)
     count = 2 * (len(topologies[0].edges) + 2 * sum(len(topology.edges) for topology in topologies))
-    cost = {}
+    networks, cost = {}, {}
     for preset in ("paper", "default"):
         config = PRESETS[preset]
         plan = replace(config.network, bound=config.bound, sharp=config.sharp, unturned=config.unturned)
-        network = NeuralSubdivision(plan).eval().requires_grad_(False)
-        with torch.inference_mode():
-            cost[preset] = best_of(lambda network=network: network(positions, flaps), 5) / count
+        networks[preset] = NeuralSubdivision(plan).eval().requires_grad_(False)
+    with torch.inference_mode():
+        for _ in range(7):  # in turns, so that a machine that slows down does so for both
+            for preset, network in networks.items():
+                took = best_of(lambda network=network: network(positions, flaps), 1) / count
+                cost[preset] = min(cost.get(preset, took), took)
     print(f"a half-flap through the paper's network {1e9 * cost['paper']:.0f} ns, through the default one "
           f"{1e9 * cost['default']:.0f} ns: ratio {cost['default'] / cost['paper']:.2f}")
 
