@@ -34,7 +34,9 @@ FOLDER = HERE.parent / "docs" / "reproduction"
 SMALL = 400_000  # faces of a coloured surface
 CLAY, RED, TITLE = (223, 227, 234), (220, 50, 40), 26
 FRONT, OTHER = (0.9, 0.45, 1.2), (0.9, 0.45, -1.2)  # most shapes look along z, spot along -z
-LACES = np.array([[0.3, 0.4, 0.2], [0.75, 0.4, 0.2], [0.3, 1.0, 0.2], [0.3, 0.4, 0.8]])  # of the boot's box
+# Four corners of a view, in shares of the shape's box.
+LACES = np.array([[0.3, 0.4, 0.2], [0.75, 0.4, 0.2], [0.3, 1.0, 0.2], [0.3, 0.4, 0.8]])  # of the boot
+FINGERS = np.array([[0.1, 0.5, 0.0], [0.95, 0.5, 0.0], [0.1, 1.0, 0.0], [0.1, 0.5, 1.0]])  # of the hand
 GALLERY = {  # where to look from
     "organic/oded_fish.ply": (1.0, 0.3, 0.4),
     "organic/oded_hand_closed.ply": FRONT,
@@ -49,7 +51,8 @@ GALLERY = {  # where to look from
 
 def draw_all(folder: Path, times: dict) -> None:
     FOLDER.mkdir(parents=True, exist_ok=True)
-    for draw in (draw_flattenings, draw_strategies, draw_maps, draw_criteria, draw_gallery, draw_draws, draw_targets):
+    for draw in (draw_flattenings, draw_strategies, draw_maps, draw_fitted, draw_criteria, draw_gallery, draw_draws,
+                 draw_targets):
         print(draw(folder), flush=True)
     print(draw_times(times))
 
@@ -121,12 +124,25 @@ def draw_maps(folder: Path) -> Path:
     return write("maps", [[titled(wireframe(mesh, view), f"input, {len(mesh.faces):,} faces"), *panels]])
 
 
+def closer(mesh: Mesh, corners: ndarray, size: tuple[int, int]) -> View:
+    """A view of a part, which lies between these corners of the box."""
+    frame = corners * np.ptp(mesh.vertices, axis=0) + mesh.vertices.min(axis=0)
+    return View(Mesh(frame, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3]])), size, FRONT, (0, 1, 0))
+
+
+def draw_fitted(folder: Path) -> Path:
+    """Not of the paper: the second refinement as decimated and fitted."""
+    mesh = neusub.load(folder / "organic/oded_hand_closed.ply")
+    view, result = closer(mesh, FINGERS, (420, 320)), decimate(mesh, n_faces=200, strategy="uniform")
+    panels = {f"input, {len(mesh.faces):,} faces": mesh, "over 200 faces": remeshed(result),
+              "fitted": remeshed(result.fitted(LEVELS))}
+    return write("fitted", [[titled(wireframe(shown, view), title) for title, shown in panels.items()]])
+
+
 def draw_criteria(folder: Path) -> Path:
     """fig:robustSSS: the second refinement with all criteria, and with none; red where it turned over."""
     mesh = neusub.load(folder / "manmade/oded_boot.ply")
-    corners = LACES * np.ptp(mesh.vertices, axis=0) + mesh.vertices.min(axis=0)
-    frame = Mesh(corners, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3]]))
-    view, panels = View(frame, (480, 440), FRONT, (0, 1, 0)), []
+    view, panels = closer(mesh, LACES, (480, 440)), []
     for name, title in (("all", "all criteria"), ("none", "no criteria")):
         result = decimate(mesh, n_faces=FACES, criteria=CRITERIA[name])
         fine, refined = remeshed(result), refinement(result.faces, len(result.decimated), LEVELS)

@@ -1,4 +1,5 @@
-"""Quality of the self-parameterization: level-2 remeshes at 500 faces, and the coarse triangles of the default pairs.
+"""Quality of the self-parameterization: level-2 remeshes at 500 faces, as decimated and fitted (as `neusub.remesh` does
+by default), and the coarse triangles of the default pairs.
 
     python -m experiments selfparam_quality ../shared/data
 
@@ -8,20 +9,18 @@ Beside each number stands the authors' later C++ (libigl; quadric, one run).  Wr
 from __future__ import annotations
 
 import argparse
-import json
-import platform
-import subprocess
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 import neusub
+from experiments.common import TOSCA, provenance, write_results
 from neusub import Mesh, PairConfig, decimate
 from neusub.discretization import generator_of, in_unit_box, make_pair, summary
 from neusub.selfparam.parameterization import refinement
 from neusub.selfparam.report import map_report
 
-HERE = Path(__file__).parent
 FACES, LEVELS, DRAWS, POINTS = 500, 2, 5, 100_000
 # flipped triangles in %, mean distance and Hausdorff distance of the level-2 remesh, of the diagonal
 REFERENCE = {
@@ -38,8 +37,10 @@ REFERENCE = {
 PAIRS = ("organic/ns_bunny", "organic/ddg_kitten")
 
 
-def remesh_quality(mesh: Mesh, reference: tuple[float, float, float], strategy: str) -> dict:
+def remesh_quality(mesh: Mesh, reference: tuple[float, float, float], strategy: str, fit: bool) -> dict:
     result = decimate(mesh, n_faces=FACES, strategy=strategy)
+    if fit:
+        result = result.fitted(LEVELS)
     refined = refinement(result.faces, len(result.decimated), LEVELS)
     fine = Mesh(result.points(*result.to_fine(refined.at, refined.barycentric)), refined.faces)
     draws = [neusub.distance(fine, mesh, seed=seed) for seed in range(DRAWS)]
@@ -50,6 +51,7 @@ def remesh_quality(mesh: Mesh, reference: tuple[float, float, float], strategy: 
         "degenerate_percent": 100 * report.degenerate,
         "mean": float(np.mean([d.mean for d in draws])) / draws[0].diagonal,
         "hausdorff": float(np.mean([d.hausdorff for d in draws])) / draws[0].diagonal,
+        **vars(report.on_surface),
         "conformal_median": report.conformal_median,
         "conformal_high": report.conformal_high,
         **round_trip(result),
@@ -86,28 +88,25 @@ def main() -> None:
     options = parser.parse_args()
     meshes = {name: neusub.load(options.data / "meshes" / f"{name}.ply") for name in {*REFERENCE, *PAIRS}}
     rows: dict = {}
-    for strategy in ("quadric", "uniform"):
-        rows[strategy] = {}
+    for strategy, fit in product(("quadric", "uniform"), (False, True)):
+        kind = f"{strategy}, fitted" if fit else strategy
+        rows[kind] = {}
         for name, reference in REFERENCE.items():
-            rows[strategy][name] = row = remesh_quality(meshes[name], reference, strategy)
-            print(strategy, name, *(f"{row[key]:.5f} ({value})" for key, value in row["reference"].items()), flush=True)
+            rows[kind][name] = row = remesh_quality(meshes[name], reference, strategy, fit)
+            print(kind, name, *(f"{row[key]:.5f} ({value})" for key, value in row["reference"].items()), flush=True)
     pairs = {name: pair_quality(meshes[name]) for name in PAIRS}
     centaur = np.load(options.data / "tosca" / "centaur.npz")
     pairs["tosca/centaur0"] = pair_quality(Mesh(centaur["V"][0].astype(np.float64), centaur["F"].astype(np.int64)))
     for name, numbers in pairs.items():
         print(name, numbers, flush=True)
-    commit = subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True, check=True, cwd=HERE)
-    scores = {
-        "command": "python -m experiments selfparam_quality DATA",
-        "commit": commit.stdout.strip(),
-        "machine": platform.machine(),
-        "settings": {"faces": FACES, "levels": LEVELS, "seed": 0, "draws": DRAWS, "points": POINTS},
+    write_results("selfparam_quality", {
+        **provenance(options),
+        "settings": {"faces": FACES, "levels": LEVELS, "draws": DRAWS, "points": POINTS},
         "remesh": rows,
         "pairs": pairs,
         "pairs_of_the_authors_elephant": {"quality_low": 0.215, "quality_median": 0.77, "area_variation": 0.58},
-        "citation": "TOSCA: Bronstein, Bronstein, Kimmel 2008, Numerical Geometry of Non-Rigid Shapes",
-    }
-    (HERE / "results" / "selfparam_quality.json").write_text(json.dumps(scores, indent=2) + "\n")
+        "citation": TOSCA,
+    })
 
 
 if __name__ == "__main__":

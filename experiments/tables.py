@@ -70,6 +70,24 @@ def all_levels() -> str:
     return markdown(["H / M", *next(iter(data["ns_rocker_arm"].values()))], rows)
 
 
+def fit() -> str:
+    data = results("selfparam_quality")["remesh"]
+
+    def row(shape: str) -> list[str]:
+        numbers = [data[kind][shape] for kind in data]
+        numbers.insert(0, data["quadric"][shape]["reference"])
+        return [shape.split("_")[-1], *(f"{100 * n['mean']:.3f} / {100 * n['hausdorff']:.2f}" for n in numbers)]
+
+    def evenness(kind: str) -> str:
+        rows = data[kind].values()
+        return " / ".join(f"{np.mean([row[key] for row in rows]):.2f}" for key in ("quality_median", "area_variation"))
+
+    rows = [row(shape) for shape in data["quadric"]]
+    rows.append(["triangles, mean: quality / areas vary", "", *map(evenness, data)])
+    names = (f"`{kind}`".replace(", fitted`", "`, fitted") for kind in data)
+    return markdown(["mean / Hausdorff, %", "the authors' C++", *names], rows)
+
+
 def artists() -> str:
     names = {"quat_cow": "cow", "quat_wolf": "wolf", "quat_pig": "pig", "kenney_cloud": "cloud",
              "oded_penguin_control_mesh": "penguin, cage", "oded_spot_control_mesh": "spot, cage",
@@ -164,7 +182,7 @@ def ablation() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
-    fixed_inputs, teaser, all_levels, artists, texture, semantic, modeling, levels_distance, levels_angle, upsampling,
+    fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle, upsampling,
     cages, ablation)}
 
 

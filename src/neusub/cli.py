@@ -248,6 +248,7 @@ def remesh_command(
     levels: int = 2,
     strategy: str = "uniform",
     seed: int = 0,
+    fit: bool = True,
     all_levels: bool = False,
     overwrite: bool = False,
 ) -> int:
@@ -261,6 +262,7 @@ def remesh_command(
         levels: Of refinement over the base.
         strategy: How the base is decimated (see 'neusub decimate').
         seed: Of the random strategy.
+        fit: Slide the base's vertices along the surface until the refinement keeps closer to it.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         overwrite: Replace files that exist.
     """
@@ -272,7 +274,8 @@ def remesh_command(
 
         targets = level_files(path, inputs, output, levels if all_levels else None)
         check_free(targets, overwrite, KINDS)
-        results = remesh(load(path), n_vertices=vertices, n_faces=faces, levels=levels, strategy=strategy, seed=seed)
+        results = remesh(load(path), n_vertices=vertices, n_faces=faces, levels=levels, strategy=strategy, seed=seed,
+                         fit=fit)
         for mesh, place in zip(results[-len(targets) :], targets):
             save(mesh, place, overwrite=overwrite)
         base, last = results[0], results[-1]

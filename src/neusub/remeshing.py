@@ -19,6 +19,8 @@ from neusub.selfparam.parameterization import Refinement, refinement
 
 __all__ = ["remesh"]
 
+FINEST = 3  # level to fit: each further one costs four times more, and the base has no more vertices to slide
+
 
 def remesh(
     mesh: Mesh,
@@ -28,10 +30,13 @@ def remesh(
     levels: int = 2,
     strategy: str | Any = "uniform",
     seed: int = 0,
+    fit: bool = True,
 ) -> list[Mesh]:
     """Levels 0 .. levels over a coarse base, every vertex on the original surface.
 
     n_vertices or n_faces: of the base, exactly one.  strategy, seed: as in `decimate`; "uniform" gives even triangles.
+    fit: slide the base's vertices along the surface until the refinement keeps closer to it (see
+    `SelfParameterization.fitted`); the triangles become a little less even.
     Face data follow from the face under each new face's centre; "original_face" is that face's index, for labels.
     UVs follow in one chart of the texture each; the load report says how many faces lie across a seam (for them,
     `SelfParameterization.bake`).  Colours are interpolated.
@@ -44,6 +49,8 @@ def remesh(
         asked = f"{n_vertices} vertices" if n_vertices else f"{n_faces} faces"
         raise DecimationError(f"the base stopped at {len(result.decimated)} vertices and {len(result.faces)} faces, "
                               f"{asked} were asked for. Refused: {refusals(result.counts)}. Ask for more.")
+    if fit:
+        result = result.fitted(min(levels, FINEST))
     return [on_surface(result, level) for level in range(levels + 1)]
 
 

@@ -1,4 +1,4 @@
-"""Flattening the ring of an edge, before and after the collapse.
+"""Flattening the ring of an edge, before and after the collapse; and the ring of a vertex, by z^a.
 
 Before: a free-boundary conformal map of the ring's faces.  Each triangle's conformal energy is that of Levy et al.
 2002 (least-squares conformal maps), |sum W u|^2 / (2 A) over complex u, a Hermitian form; the map is its smallest
@@ -24,9 +24,10 @@ from numpy import ndarray
 
 from neusub.selfparam.surface import COMPILED, copy_row
 
-__all__ = ["Solver", "flatten_after", "flatten_before", "make_solver"]
+__all__ = ["THINNEST", "Solver", "flatten_after", "flatten_before", "flatten_ring", "make_solver"]
 
 ITERATIONS = 3
+THINNEST = 1e-4  # quality in the plane: a spike's small angles give z^a a large a, and radii that differ by 1e20
 SHIFT = 1e-10  # of the largest diagonal entry: makes the energy definite where the ring is flat
 
 
@@ -337,3 +338,33 @@ def flatten_after(ring, m, gap, along_boundary, kept, conformal):
     uv[i, 0] = x / total
     uv[i, 1] = 0.0 if along_boundary else y / total
 
+
+# --- the ring of a vertex ----------------------------------------------------------------------------------------
+
+
+@njit(**COMPILED)
+def flatten_ring(points, is_open, uv):
+    """The ring by the power map z^a (in place): angles add up to 2 pi, on a boundary to pi; radii become r^a."""
+    d = len(points) - 1
+    turn = farthest = 0.0
+    for t in range(d):
+        x1, y1, z1 = spoke(points, t)
+        x2, y2, z2 = spoke(points, (t + 1) % d)
+        nx, ny, nz = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
+        uv[t, 0], uv[t, 1] = np.sqrt(x1 * x1 + y1 * y1 + z1 * z1), turn
+        farthest = max(farthest, uv[t, 0])
+        if t < d - 1 or not is_open:
+            turn += np.arctan2(np.sqrt(nx * nx + ny * ny + nz * nz), x1 * x2 + y1 * y2 + z1 * z2)
+    power = (np.pi if is_open else 2 * np.pi) / turn
+    for t in range(d):
+        radius, angle = (uv[t, 0] / farthest) ** power, uv[t, 1] * power
+        uv[t, 0], uv[t, 1] = radius * np.cos(angle), radius * np.sin(angle)
+    uv[d, 0] = uv[d, 1] = 0.0
+    if is_open:
+        uv[d - 1, 1] = 0.0  # sin(pi), but for rounding: the boundary stays a line
+
+
+@njit(**COMPILED)
+def spoke(points, t):
+    d = len(points) - 1
+    return points[t, 0] - points[d, 0], points[t, 1] - points[d, 1], points[t, 2] - points[d, 2]

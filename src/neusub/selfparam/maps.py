@@ -39,6 +39,7 @@ from neusub.selfparam.criteria import (
     quality,
 )
 from neusub.selfparam.decimation import checked_targets, outgoing
+from neusub.selfparam.flatten import THINNEST, flatten_ring
 from neusub.selfparam.mapping import CAPACITY, Step, charts_of
 from neusub.selfparam.parameterization import SelfParameterization
 from neusub.selfparam.priorities import removal_order
@@ -46,8 +47,6 @@ from neusub.selfparam.surface import COMPILED
 from neusub.topology import build_topology
 
 __all__ = ["decimate_maps"]
-
-THINNEST = 1e-4  # quality in the plane: a spike's small angles give z^a a large a, and radii that differ by 1e20
 
 
 def decimate_maps(
@@ -233,34 +232,6 @@ def remove(work: Work, star: Star) -> int:
     if reason == LEGAL:
         replace(work, star, uv, made, *look_in)
     return reason
-
-
-@njit(**COMPILED)
-def flatten_ring(points, is_open, uv):
-    """The ring by the power map z^a (in place): angles add up to 2 pi, on a boundary to pi; radii become r^a."""
-    d = len(points) - 1
-    turn = farthest = 0.0
-    for t in range(d):
-        x1, y1, z1 = spoke(points, t)
-        x2, y2, z2 = spoke(points, (t + 1) % d)
-        nx, ny, nz = y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2
-        uv[t, 0], uv[t, 1] = np.sqrt(x1 * x1 + y1 * y1 + z1 * z1), turn
-        farthest = max(farthest, uv[t, 0])
-        if t < d - 1 or not is_open:
-            turn += np.arctan2(np.sqrt(nx * nx + ny * ny + nz * nz), x1 * x2 + y1 * y2 + z1 * z2)
-    power = (np.pi if is_open else 2 * np.pi) / turn
-    for t in range(d):
-        radius, angle = (uv[t, 0] / farthest) ** power, uv[t, 1] * power
-        uv[t, 0], uv[t, 1] = radius * np.cos(angle), radius * np.sin(angle)
-    uv[d, 0] = uv[d, 1] = 0.0
-    if is_open:
-        uv[d - 1, 1] = 0.0  # sin(pi), but for rounding: the boundary stays a line
-
-
-@njit(**COMPILED)
-def spoke(points, t):
-    d = len(points) - 1
-    return points[t, 0] - points[d, 0], points[t, 1] - points[d, 1], points[t, 2] - points[d, 2]
 
 
 @njit(**COMPILED)

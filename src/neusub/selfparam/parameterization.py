@@ -118,6 +118,17 @@ class SelfParameterization:
 
         return bake(self, texture, levels, density=density)
 
+    def fitted(self, levels: int = 2, passes: int = 5) -> SelfParameterization:
+        """The map with coarse vertices slid along the surface, so that refinements keep closer to it.
+
+        The refinement at `levels` is compared with the fine mesh, in some passes over all vertices.  Not in the paper.
+        `decimated` becomes the vertices' images.  Boundaries and seams of the texture stay.
+        Raises: ParameterizationError for levels or passes out of range.
+        """
+        from neusub.selfparam.fitting import fitted
+
+        return fitted(self, levels, passes)
+
     def report(self, levels: int = 2) -> MapReport:
         """Distortion, flips, refusals and the coarse triangles in numbers; see `report.map_report`."""
         from neusub.selfparam.report import map_report

@@ -51,7 +51,7 @@ class Strategy:
 TIES = 0.0003
 STRATEGIES = {
     "quadric": Strategy(QUADRIC, breaks_ties=True),
-    "random": Strategy(QUADRIC, choices=100, spread=0.005),
+    "random": Strategy(QUADRIC, choices=100, spread=0.006),
     "edge-length": Strategy(EDGE_LENGTH),
     "uniform": Strategy(QUADRIC, spread=0.1),
     "appearance": Strategy(QUADRIC, breaks_ties=True, keeps_appearance=True),

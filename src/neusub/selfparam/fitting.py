@@ -1,0 +1,405 @@
+"""Fitting a map: coarse vertices slide along the surface until the refinement keeps closer to it.  Not in the paper.
+
+A decimation chooses collapses by planes, and conformal maps say where on the surface a coarse vertex comes to lie;
+neither looks at the refinement.  The image of a vertex on a fingertip may be halfway down the finger, and the
+refinement then cuts the tip off.
+
+    fitted      some passes over all vertices that may move
+    fit_vertex  four places around a vertex in the plane of its ring; it goes to the best, if that is better
+    error_at    for one place: the refinement of the ring, and how far the samples in the ring are from it
+    slide       keep the chart
+
+A slide is a chart as a collapse is (`mapping.py`).  The vertex's d neighbours go into the plane by z^a; there it goes
+from the centre (local index d) to another place (d + 1), and each face keeps its outer edge (t, t + 1).  Samples are
+the fine mesh's vertices, each as much as its area.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numba import njit
+from numpy import ndarray
+
+from neusub.errors import ParameterizationError
+from neusub.selfparam.criteria import plane_face, quality
+from neusub.selfparam.flatten import THINNEST, flatten_ring
+from neusub.selfparam.mapping import MADE, Charts, go_up, grown, locate, set_corners, trimmed
+from neusub.selfparam.parameterization import SelfParameterization, corner_points
+from neusub.selfparam.placement import unit_normals
+from neusub.selfparam.surface import COMPILED, after, before, copy_row
+
+__all__ = ["fitted"]
+
+STEP = 0.25  # of the distance to the closest neighbour in the plane
+GAIN = 0.02  # a slide must take so much off the error: the map gets no longer for nothing
+MIN_QUALITY = 0.2  # of the faces in the plane, as `Criteria` has it
+CALM = 0.5  # a ring whose mean squared distance is less than so much of the mean over all stays: even faces stay even
+NEGLIGIBLE = 1e-9  # distance, of the box's diagonal: rounding
+FOLD = 0.05  # what a refined triangle that faces away costs a sample: of its squared edge
+
+
+class Fit(NamedTuple):
+    """Everything that the kernels work on."""
+
+    faces: ndarray  # (nF0, 3) int32: the coarse mesh
+    twins: ndarray  # (3 nF0,) int32
+    starts: ndarray  # (nV0,) int32: a half-edge that leaves each vertex; -1 where it stays
+    images: ndarray  # (nV0, 3): of the coarse vertices
+    versions: ndarray  # (nF0,) int32
+    charts: Charts
+    fine_positions: ndarray  # (nV, 3)
+    fine_faces: ndarray  # (nF, 3)
+    normals: ndarray  # (nV, 3): of the samples, not normalised
+    weights: ndarray  # (nV,)
+    at: ndarray  # (nV,) int32: the coarse face that each sample lies in
+    barycentric: ndarray  # (nV, 3): and where
+    first: ndarray  # (nF0,) int32: a sample of each coarse face; -1: none
+    following: ndarray  # (nV,) int32: the next one of the same face
+    halfedges: ndarray  # (capacity,) int32, scratch: the half-edges that leave the vertex, counter-clockwise
+    points: ndarray  # (capacity + 1, 3), scratch: the neighbours, the vertex
+    uv: ndarray  # (capacity + 2, 2), scratch
+    fans: ndarray  # (2, capacity, 4) uint16, scratch: local corners of the faces before and after
+    patch: ndarray  # (capacity, side + 1, side + 1, 3), scratch: points of the refinement, [t, a, b] a / side of the
+    # way from the vertex to neighbour t and b / side of that to the next one
+    members: ndarray  # (nV,) int32, scratch: the samples in the ring
+    places: ndarray  # (nV, 2), scratch: theirs in the plane
+    version: ndarray  # (1,) int32, scratch: of one point on its way up
+    point: ndarray  # (1, 3), scratch
+
+
+def fitted(result: SelfParameterization, levels: int = 2, passes: int = 5) -> SelfParameterization:
+    """See `SelfParameterization.fitted`."""
+    if not 0 <= levels <= 6:
+        raise ParameterizationError(f"levels = {levels}: take a number from 0 to 6.")
+    if passes < 0:
+        raise ParameterizationError(f"passes = {passes}: take 0 or more.")
+    fit, centre = prepare(result, 2**levels, passes)
+    least = (NEGLIGIBLE * np.linalg.norm(np.ptp(result.fine.vertices, axis=0))) ** 2
+    for _ in range(passes):
+        if fit_pass(fit, max(CALM * mean_error(fit), least)) == 0:
+            break
+    return replace(result, decimated=fit.images + centre, versions=fit.versions, charts=trimmed(fit.charts))
+
+
+def prepare(result: SelfParameterization, side: int, passes: int) -> tuple[Fit, ndarray]:
+    """The kernels' arrays, positions about the centre of the box; and that centre."""
+    fine, coarse = result.fine, result.coarse
+    centre = (fine.vertices.min(axis=0) + fine.vertices.max(axis=0)) / 2
+    corners = fine.vertices[fine.faces] - centre
+    unit, size = unit_normals(corners)
+    flat = fine.faces.reshape(-1)
+    n, n_coarse = len(fine.vertices), len(result.faces)
+    normals = np.stack([np.bincount(flat, np.repeat(size * unit[:, k], 3), n) for k in range(3)], axis=1)
+    at, barycentric = result.to_coarse(*corner_points(fine.faces, n))
+    topology = coarse.topology
+    starts = np.empty(len(coarse.vertices), np.int32)
+    starts[result.faces.reshape(-1)] = np.arange(3 * n_coarse)
+    starts[topology.is_boundary_vertex | seam_vertices(result)] = -1
+    slides = passes * int((starts >= 0).sum())
+    slots = len(result.charts.uv) + passes * (3 * n_coarse + len(starts))  # a slide has two places more than faces
+    capacity = int(topology.valence.max())
+    fit = Fit(
+        faces=result.faces.astype(np.int32),
+        twins=topology.twins.astype(np.int32),
+        starts=starts,
+        images=result.on_surface.vertices - centre,
+        versions=result.versions.copy(),
+        charts=grown(result.charts, len(fine.faces), len(result.charts.starts) - 1 + slides, slots),
+        fine_positions=fine.vertices - centre,
+        fine_faces=fine.faces,
+        normals=normals,
+        weights=np.bincount(flat, np.repeat(size / 6, 3), n),
+        at=at.astype(np.int32),
+        barycentric=barycentric,
+        first=np.full(n_coarse, -1, np.int32),
+        following=np.full(n, -1, np.int32),
+        halfedges=np.zeros(capacity, np.int32),
+        points=np.zeros((capacity + 1, 3)),
+        uv=np.zeros((capacity + 2, 2)),
+        fans=np.zeros((2, capacity, 4), np.uint16),
+        patch=np.zeros((capacity, side + 1, side + 1, 3)),
+        members=np.zeros(n, np.int32),
+        places=np.zeros((n, 2)),
+        version=np.zeros(1, np.int32),
+        point=np.zeros((1, 3)),
+    )
+    link(fit)
+    return fit, centre
+
+
+def seam_vertices(result: SelfParameterization) -> ndarray:
+    """Coarse vertices on a seam of the fine mesh's texture: what keeps appearance needs them there."""
+    is_seam = np.zeros(len(result.decimated), dtype=bool)
+    if result.fine.uv is None or result.fine.uv_faces is None:
+        return is_seam
+    _, uv_faces, _ = result.transfer_corners(result.fine.uv, result.fine.uv_faces)
+    pairs = np.unique(np.stack([result.faces.reshape(-1), uv_faces.reshape(-1)], axis=1), axis=0)
+    return np.bincount(pairs[:, 0], minlength=len(is_seam)) > 1
+
+
+# --- kernels -----------------------------------------------------------------------------------------------------
+
+
+@njit(**COMPILED)
+def link(fit):
+    """List the samples of each coarse face."""
+    for k in range(len(fit.at)):
+        fit.following[k] = fit.first[fit.at[k]]
+        fit.first[fit.at[k]] = k
+
+
+@njit(**COMPILED)
+def mean_error(fit):
+    """Mean squared distance of the samples in all rings."""
+    error = weight = 0.0
+    for v in range(len(fit.starts)):
+        d, count, _ = open_ring(fit, v)
+        if d > 0:
+            error += error_at(fit, d, count, 0.0, 0.0)
+            weight += weight_of(fit, count)
+    return error / weight if weight > 0.0 else 0.0
+
+
+@njit(**COMPILED)
+def fit_pass(fit, calm):
+    """One pass over all vertices; how many of them slid.  calm: mean squared distance in a ring that stays."""
+    slid = 0
+    for v in range(len(fit.starts)):
+        slid += fit_vertex(fit, v, calm)
+    return slid
+
+
+@njit(**COMPILED)
+def fit_vertex(fit, v, calm):
+    """Whether the vertex slid."""
+    d, count, worst = open_ring(fit, v)
+    if d == 0:
+        return False
+    least = error_at(fit, d, count, 0.0, 0.0) * (1 - GAIN)
+    if least <= calm * weight_of(fit, count):
+        return False
+    uv, closest = fit.uv, np.inf
+    for t in range(d):
+        closest = min(closest, np.sqrt(uv[t, 0] * uv[t, 0] + uv[t, 1] * uv[t, 1]))
+    best_x = best_y = 0.0
+    for direction in range(4):
+        x = STEP * closest * ((direction == 0) - (direction == 2))
+        y = STEP * closest * ((direction == 1) - (direction == 3))
+        uv[d + 1, 0], uv[d + 1, 1] = x, y
+        if worst_of(fit, 1, d) > min(MIN_QUALITY, worst):
+            error = error_at(fit, d, count, x, y)
+            if error < least:
+                least, best_x, best_y = error, x, y
+    if best_x == 0.0 and best_y == 0.0:
+        return False
+    slide(fit, v, d, count, best_x, best_y)
+    return True
+
+
+@njit(**COMPILED)
+def open_ring(fit, v):
+    """Bring the ring of a vertex into the plane, and its samples.
+
+    Its number of neighbours (0: it must stay, or its ring cannot be flattened), samples, and least quality there.
+    """
+    if fit.starts[v] < 0:
+        return 0, 0, 0.0
+    d = gather(fit, v)
+    flatten_ring(fit.points[: d + 1], False, fit.uv)
+    worst = worst_of(fit, 0, d)
+    if not worst > THINNEST:
+        return 0, 0, 0.0
+    count = gather_samples(fit, d)
+    fill_outline(fit, d)
+    return d, count, worst
+
+
+@njit(**COMPILED)
+def weight_of(fit, count):
+    weight = 0.0
+    for n in range(count):
+        weight += fit.weights[fit.members[n]]
+    return weight
+
+
+@njit(**COMPILED)
+def gather(fit, v):
+    """Fill the ring of a vertex, and the two fans in the plane; its number of neighbours."""
+    start = np.int64(fit.starts[v])
+    h, d = start, 0
+    while True:
+        fit.halfedges[d] = h
+        copy_row(fit.points, d, fit.images, fit.faces[h // 3, after(h) % 3])
+        d += 1
+        h = np.int64(fit.twins[before(h)])
+        if h == start:
+            break
+    copy_row(fit.points, d, fit.images, v)
+    for t in range(d):
+        corner = fit.halfedges[t] % 3
+        for k in range(2):
+            set_corners(fit.fans[k], t, corner, d + k, t, (t + 1) % d, t)
+    return d
+
+
+@njit(**COMPILED)
+def worst_of(fit, which, d):
+    """Least quality in the plane of a fan's faces; not positive where one is turned over."""
+    worst = 2.0
+    for t in range(d):
+        area, squared = plane_face(fit.uv, d + which, t, (t + 1) % d)
+        worst = min(worst, quality(squared, area))
+    return worst
+
+
+@njit(**COMPILED)
+def gather_samples(fit, d):
+    """Fill members and their places in the plane; how many there are."""
+    count = 0
+    for t in range(d):
+        k = fit.first[fit.halfedges[t] // 3]
+        while k >= 0:
+            fit.members[count] = k
+            for axis in range(2):
+                place = 0.0
+                for i in range(3):
+                    place += fit.barycentric[k, i] * fit.uv[fit.fans[0, t, i], axis]
+                fit.places[count, axis] = place
+            count += 1
+            k = fit.following[k]
+    return count
+
+
+@njit(**COMPILED)
+def fill(fit, d, t, a, b, x, y):
+    """The point of the refinement that is a and b steps from the vertex, on the surface, where that lies at (x, y)."""
+    uv, side, point = fit.uv, fit.patch.shape[1] - 1, fit.point
+    u, v, s = a / side, b / side, (t + 1) % d
+    px = (1 - u - v) * x + u * uv[t, 0] + v * uv[s, 0]
+    py = (1 - u - v) * y + u * uv[t, 1] + v * uv[s, 1]
+    row = locate(uv, 0, fit.fans[0], 0, d, t, px, py, point[0])
+    fit.version[0] = fit.versions[fit.halfedges[row] // 3]
+    go_up(fit.charts, fit.version, point, 0, 1)
+    face = fit.fine_faces[fit.version[0]]
+    for axis in range(3):
+        fit.patch[t, a, b, axis] = (
+            point[0, 0] * fit.fine_positions[face[0], axis] + point[0, 1] * fit.fine_positions[face[1], axis]
+            + point[0, 2] * fit.fine_positions[face[2], axis])
+
+
+@njit(**COMPILED)
+def fill_outline(fit, d):
+    """The points on the outer edges, which stay."""
+    side = fit.patch.shape[1] - 1
+    for t in range(d):
+        for a in range(side + 1):
+            fill(fit, d, t, a, side - a, 0.0, 0.0)
+
+
+@njit(**COMPILED)
+def error_at(fit, d, count, x, y):
+    """Sum over the samples of their area times their squared distance to the refinement, the vertex being at (x, y)."""
+    side, uv = fit.patch.shape[1] - 1, fit.uv
+    uv[d + 1, 0], uv[d + 1, 1] = x, y
+    fill(fit, d, 0, 0, 0, x, y)
+    for t in range(d):
+        for a in range(side):
+            for b in range(side - a):
+                if a > 0:  # the points with a = 0 are those with b = 0 of the next face
+                    fill(fit, d, t, a, b, x, y)
+    for t in range(d):
+        for b in range(side):
+            for axis in range(3):
+                source = fit.patch[0, 0, 0, axis] if b == 0 else fit.patch[(t + 1) % d, b, 0, axis]
+                fit.patch[t, 0, b, axis] = source
+    total = 0.0
+    row = 0
+    for n in range(count):
+        row = locate(uv, 0, fit.fans[1], 0, d, row, fit.places[n, 0], fit.places[n, 1], fit.point[0])
+        corner, k = fit.halfedges[row] % 3, fit.members[n]
+        a, b = fit.point[0, (corner + 1) % 3] * side, fit.point[0, (corner + 2) % 3] * side
+        total += fit.weights[k] * distance(fit, k, row, a, b)
+    return total
+
+
+@njit(**COMPILED)
+def distance(fit, k, t, a, b):
+    """Squared distance of sample k to the triangle of the patch with the point (a, b); more where that faces away."""
+    side = fit.patch.shape[1] - 1
+    i = min(int(a), side - 1)
+    j = min(int(b), side - 1 - i)
+    if a - i + b - j <= 1 or i + j + 1 == side:
+        p, q, r = fit.patch[t, i, j], fit.patch[t, i + 1, j], fit.patch[t, i, j + 1]
+    else:
+        p, q, r = fit.patch[t, i + 1, j + 1], fit.patch[t, i, j + 1], fit.patch[t, i + 1, j]
+    ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
+    vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
+    at, normal = fit.fine_positions[k], fit.normals[k]
+    x, y, z = at[0] - p[0], at[1] - p[1], at[2] - p[2]
+    facing = ((uy * vz - uz * vy) * normal[0] + (uz * vx - ux * vz) * normal[1] + (ux * vy - uy * vx) * normal[2])
+    fold = FOLD * (ux * ux + uy * uy + uz * uz) if facing < 0.0 else 0.0
+    return fold + squared_distance(ux, uy, uz, vx, vy, vz, x, y, z)
+
+
+@njit(**COMPILED)
+def squared_distance(ux, uy, uz, vx, vy, vz, x, y, z):
+    """Of a point to the triangle of the origin, u and v."""
+    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
+    u, v = x * ux + y * uy + z * uz, x * vx + y * vy + z * vz
+    determinant = uu * vv - uv * uv
+    a, b = (vv * u - uv * v) / determinant, (uu * v - uv * u) / determinant
+    if a >= 0.0 and b >= 0.0 and a + b <= 1.0:
+        return squared_at(ux, uy, uz, vx, vy, vz, x, y, z, a, b)
+    best = squared_at(ux, uy, uz, vx, vy, vz, x, y, z, portion(u, uu), 0.0)
+    best = min(best, squared_at(ux, uy, uz, vx, vy, vz, x, y, z, 0.0, portion(v, vv)))
+    b = portion(v - u - uv + uu, uu + vv - 2 * uv)
+    return min(best, squared_at(ux, uy, uz, vx, vy, vz, x, y, z, 1 - b, b))
+
+
+@njit(**COMPILED)
+def portion(dot, squared):
+    """Of an edge of this squared length; no further than its ends."""
+    return min(max(dot / squared, 0.0), 1.0) if squared > 0.0 else 0.0
+
+
+@njit(**COMPILED)
+def squared_at(ux, uy, uz, vx, vy, vz, x, y, z, a, b):
+    dx, dy, dz = x - a * ux - b * vx, y - a * uy - b * vy, z - a * uz - b * vz
+    return dx * dx + dy * dy + dz * dz
+
+
+@njit(**COMPILED)
+def slide(fit, v, d, count, x, y):
+    """Keep the chart of a slide to (x, y), and take versions, image and samples along."""
+    charts, uv = fit.charts, fit.uv
+    fill(fit, d, 0, 0, 0, x, y)
+    for axis in range(3):
+        fit.images[v, axis] = fit.patch[0, 0, 0, axis]
+    uv[d + 1, 0], uv[d + 1, 1] = x, y
+    c, version = charts.used
+    first_uv, row, _ = charts.starts[c]
+    made = version - charts.starts[0, MADE]
+    for i in range(d + 2):
+        copy_row(charts.uv, first_uv + i, uv, i)
+    for t in range(d):
+        face = fit.halfedges[t] // 3
+        old = fit.versions[face]
+        copy_row(charts.before, row + t, fit.fans[0], t)
+        copy_row(charts.after, made + t, fit.fans[1], t)
+        charts.old[row + t], charts.consumed_by[old], charts.consumed_at[old] = old, c, row + t
+        charts.made_by[version + t], charts.consumed_by[version + t] = c, -1
+        fit.versions[face] = version + t
+        fit.first[face] = -1
+    charts.starts[c + 1, 0], charts.starts[c + 1, 1] = first_uv + d + 2, row + d
+    charts.starts[c + 1, MADE] = charts.used[1] = version + d
+    charts.used[0] = c + 1
+    row = 0
+    for n in range(count):
+        k = fit.members[n]
+        row = locate(uv, 0, fit.fans[1], 0, d, row, fit.places[n, 0], fit.places[n, 1], fit.point[0])
+        face = fit.halfedges[row] // 3
+        copy_row(fit.barycentric, k, fit.point, 0)
+        fit.at[k], fit.following[k], fit.first[face] = face, fit.first[face], k

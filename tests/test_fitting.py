@@ -1,0 +1,154 @@
+"""Truths of fitted maps: refinements keep closer to the surface, and the map stays what it was otherwise."""
+
+import igl
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import shapes
+from decimatable import OPEN, decimated, mesh_of, meshes
+from neusub import distance
+from neusub.errors import ParameterizationError
+from neusub.mesh import Mesh
+from neusub.remeshing import on_surface, remesh
+from neusub.selfparam import STRATEGIES, SelfParameterization, decimate
+from neusub.selfparam.fitting import seam_vertices, squared_distance
+from test_selfparam_points import EACH_SHAPE, assert_returns, assert_valid, random_points
+
+
+def spiky() -> Mesh:
+    """A sphere with twelve horns."""
+    vertices, faces = shapes.icosphere(5)
+    closeness = (vertices @ shapes.icosahedron()[0].T).max(axis=1)
+    return Mesh(vertices * (1 + 1.5 * np.exp((closeness - 1) * 30))[:, None], faces)
+
+
+def quality(mesh: Mesh) -> np.ndarray:
+    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
+    squared = ((b - a) ** 2 + (c - b) ** 2 + (a - c) ** 2).sum(axis=1)
+    return 2 * np.sqrt(3) * np.linalg.norm(np.cross(b - a, c - a), axis=1) / squared
+
+
+@pytest.mark.parametrize("strategy", ["quadric", "uniform", "random"])
+@pytest.mark.parametrize("levels", [1, 2])
+def test_refinements_keep_closer_to_the_surface(strategy, levels):
+    mesh = spiky()
+    result = decimate(mesh, n_faces=300, strategy=strategy)
+    before, after = (distance(on_surface(r, levels), mesh) for r in (result, result.fitted(levels)))
+    assert after.mean < 0.95 * before.mean
+    assert after.hausdorff < 0.95 * before.hausdorff
+
+
+def test_more_passes_bring_it_closer():
+    mesh = spiky()
+    result = decimate(mesh, n_faces=300)
+    none, one, five = (distance(on_surface(result.fitted(2, n), 2), mesh).mean for n in (0, 1, 5))
+    assert none > one > five
+
+
+@EACH_SHAPE
+def test_points_return(name):
+    result = decimated(name).fitted()
+    assert_returns(result)
+    faces, _ = result.to_coarse(*random_points(len(result.fine.faces)))
+    assert len(np.unique(faces)) == len(result.faces)
+
+
+@given(meshes(is_degenerate=True), st.sampled_from(list(STRATEGIES)), st.floats(0, 1), st.integers(0, 3))
+@settings(max_examples=50, deadline=None)
+def test_images_of_random_meshes_are_valid(mesh, strategy, share, levels):
+    n_vertices = max(1, round(share * len(mesh.vertices)))
+    result = decimate(mesh, n_vertices=n_vertices, strategy=strategy).fitted(levels)
+    assert np.isfinite(result.decimated).all()
+    assert_valid(result.to_fine(*random_points(len(result.faces), 500)), len(mesh.faces))
+    assert_valid(result.to_coarse(*random_points(len(mesh.faces), 500)), len(result.faces))
+
+
+@given(meshes(), st.sampled_from(list(STRATEGIES)), st.floats(0, 1))
+@settings(max_examples=50, deadline=None)
+def test_points_of_random_meshes_return(mesh, strategy, share):
+    n_vertices = max(1, round(share * len(mesh.vertices)))
+    assert_returns(decimate(mesh, n_vertices=n_vertices, strategy=strategy).fitted(), 500)
+
+
+def test_coarse_vertices_lie_at_their_images_and_faces_are_the_same():
+    result = decimate(spiky(), n_faces=300)
+    fitted = result.fitted()
+    assert np.array_equal(fitted.faces, result.faces)
+    assert np.abs(fitted.decimated - fitted.on_surface.vertices).max() < 1e-12
+    assert np.abs(fitted.decimated - result.on_surface.vertices).max() > 0.01
+    again = result.fitted(passes=0)
+    assert np.abs(again.on_surface.vertices - result.on_surface.vertices).max() == 0
+
+
+def test_no_triangle_gets_thinner_than_the_criteria_allow():
+    result = decimate(spiky(), n_faces=300)
+    before, after = quality(on_surface(result, 0)), quality(on_surface(result.fitted(), 0))
+    assert after.min() > 0.5 * min(0.2, before.min())  # they are tested in the plane
+
+
+def test_a_fitted_map_can_be_saved_and_fitted_again(tmp_path):
+    fitted = decimate(spiky(), n_faces=300).fitted(passes=1)
+    fitted.save(tmp_path / "map.safetensors")
+    loaded = SelfParameterization.load(tmp_path / "map.safetensors")
+    assert np.array_equal(loaded.fitted().decimated, fitted.fitted().decimated)
+
+
+def test_the_result_does_not_depend_on_scale_and_place():
+    mesh = mesh_of("sphere")
+    reference = decimate(mesh, n_faces=150).fitted().decimated
+    for scale, shift in ((1e-6, 0.0), (1e6, 0.0), (1.0, 1e4)):
+        moved = decimate(Mesh(mesh.vertices * scale + shift, mesh.faces), n_faces=150).fitted()
+        assert np.abs((moved.decimated - shift) / scale - reference).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", OPEN)
+def test_the_boundary_stays(name):
+    result = decimated(name)
+    border = result.coarse.topology.is_boundary_vertex
+    fitted = result.fitted()
+    np.testing.assert_allclose(fitted.decimated[border], result.on_surface.vertices[border], atol=1e-12)
+    assert np.abs(fitted.decimated[~border] - result.on_surface.vertices[~border]).max() > 0.01
+
+
+def test_seams_stay():
+    mesh = Mesh(**shapes.uv_box())
+    for _ in range(4):
+        mesh = mesh.refined(np.concatenate([mesh.vertices, mesh.vertices[mesh.topology.edges].mean(axis=1)]))
+    bumpy = mesh.vertices + 0.03 * np.sin(9 * mesh.vertices[:, [1, 2, 0]])
+    mesh = Mesh(bumpy, mesh.faces, uv=mesh.uv, uv_faces=mesh.uv_faces)
+    result = decimate(mesh, n_faces=200, strategy="appearance")
+    fitted, seam = result.fitted(), seam_vertices(result)
+    assert 0 < seam.sum() < len(seam)
+    np.testing.assert_allclose(fitted.decimated[seam], result.on_surface.vertices[seam], atol=1e-12)
+    assert np.abs(fitted.decimated[~seam] - result.on_surface.vertices[~seam]).max() > 0.001
+    before, after = (r.transfer_corners(mesh.uv, mesh.uv_faces, 2)[2] for r in (result, fitted))
+    assert after.sum() <= before.sum()  # as many faces lie across a seam
+
+
+def test_what_is_flat_needs_no_fit():
+    vertices, faces = shapes.refined(shapes.grid(6, 6), 2)
+    result = decimate(Mesh(vertices, faces), n_faces=60)
+    assert np.array_equal(result.fitted().versions, result.versions)
+
+
+def test_remesh_fits_unless_told_not_to():
+    mesh = spiky()
+    fitted, plain = (remesh(mesh, n_faces=300, fit=fit)[-1] for fit in (True, False))
+    assert distance(fitted, mesh).mean < 0.95 * distance(plain, mesh).mean
+
+
+@pytest.mark.parametrize(("levels", "passes", "message"),
+                         [(-1, 1, "levels = -1"), (7, 1, "levels = 7"), (2, -1, "passes = -1")])  # fmt: skip
+def test_numbers_out_of_range_are_named(levels, passes, message):
+    with pytest.raises(ParameterizationError, match=message):
+        decimated("sphere").fitted(levels, passes)
+
+
+def test_distances_to_triangles_are_those_of_igl():
+    rng = np.random.default_rng(0)
+    for _ in range(200):
+        u, v, p = rng.standard_normal((3, 3)) * rng.choice([0.01, 1, 1], (3, 1))
+        expected = igl.point_mesh_squared_distance(p[None], np.array([[0, 0, 0], u, v]), np.array([[0, 1, 2]]))[0][0]
+        assert squared_distance(*u, *v, *p) == pytest.approx(expected, rel=1e-9, abs=1e-12)
