@@ -182,8 +182,8 @@ def ablation() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
-    fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle, upsampling,
-    cages, ablation)}
+    fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle,
+    upsampling, cages, ablation)}
 
 
 def renewed(text: str) -> str:

@@ -18,6 +18,7 @@ from neusub.mesh import Mesh
 from neusub.selfparam import STRATEGIES, Criteria, SelfParameterization, decimate
 from neusub.selfparam import decimation as door
 from neusub.selfparam.collapse import DONE, FULL, STUCK, Work, collapse_null_edges, offer_all, run
+from neusub.selfparam.queue import FIRST
 from neusub.topology import connected_components
 
 
@@ -94,7 +95,7 @@ def checked(work: Work) -> Mesh:
     assert (charts.consumed_by[versions] < 0).all()
     assert np.array_equal(charts.made_by[versions] < 0, versions < len(surface.faces))
 
-    edges = work.queue.edges[: work.queue.size[0]]
+    edges = work.queue.entries[FIRST : FIRST + work.queue.size[0], 1].astype(np.int64)
     assert (number[edges // 3] >= 0).all()
     assert np.array_equal(work.queue.places[edges], np.arange(len(edges)))
     return mesh

@@ -39,7 +39,7 @@ def attribute_quadrics(
     unit, size = unit_normals(positions[faces])
     quadrics = np.zeros((n_vertices, 10))
     attributes, seams = corner_attributes(mesh, unit, size), seams_of(mesh)
-    add_walls(quadrics, positions, faces, unit, np.concatenate([seams, mesh.topology.twins[seams]]))
+    add_walls(quadrics, positions, faces, np.concatenate([seams, mesh.topology.twins[seams]]))
     gradients = np.zeros((n_vertices, len(attributes), 5))
     scale = WEIGHT * size.sum() / 2  # squared distances grow with the area, squared attributes do not
     for attribute, (values, has_value) in enumerate(attributes):
@@ -80,9 +80,7 @@ def corner_attributes(
     """Each attribute's values at the corners, of range 1, and which vertices have one value of it."""
     faces = mesh.faces
     normals = np.zeros_like(mesh.vertices)
-    for column in faces.T:
-        for axis in range(3):
-            normals[:, axis] += np.bincount(column, size * unit[:, axis], len(normals))
+    scatter(normals, faces, size[:, None] * unit)
     length = np.linalg.norm(normals, axis=1, keepdims=True)
     normals = np.divide(normals, length, out=np.zeros_like(normals), where=length > 0)
     is_smooth, everywhere = np.ones((2, len(normals)), dtype=bool)

@@ -25,7 +25,6 @@ from neusub.selfparam.placement import (
     USER,
     Strategy,
     no_user,
-    unit_normals,
     vertex_quadrics,
 )
 from neusub.selfparam.queue import make_queue
@@ -124,7 +123,8 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
                       np.arange(n_faces, dtype=np.int32), holds, is_seam, np.zeros(len(positions), np.int32))
     is_open = bool(topology.is_boundary_edge.any())
     spread = TIES if plan.breaks_ties and not is_open else plan.spread
-    quadrics, gradients = vertex_quadrics(positions, topology, spread), np.zeros((len(positions), 0, 5))
+    quadrics, areas = vertex_quadrics(positions, topology, spread)
+    gradients = np.zeros((len(positions), 0, 5))
     if plan.keeps_appearance:
         more, gradients = attribute_quadrics(mesh, positions)
         quadrics += more
@@ -146,7 +146,7 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         quadric=np.zeros(10),
         position=np.zeros(3),
         criteria=criteria.packed(),
-        area=np.array([unit_normals(positions[mesh.faces])[1].sum() / 2]),
+        area=np.array([areas.sum()]),
         counts=np.zeros(len(REASONS), np.int64),
         sizes=np.array([len(positions), n_faces, 0]),
         random=np.random.SeedSequence(seed).generate_state(1, np.uint64),

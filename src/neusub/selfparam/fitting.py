@@ -28,7 +28,7 @@ from neusub.selfparam.criteria import plane_face, quality
 from neusub.selfparam.flatten import THINNEST, flatten_ring
 from neusub.selfparam.mapping import MADE, Charts, go_up, grown, locate, set_corners, trimmed
 from neusub.selfparam.parameterization import SelfParameterization, corner_points
-from neusub.selfparam.placement import unit_normals
+from neusub.selfparam.placement import scatter, unit_normals
 from neusub.selfparam.surface import COMPILED, after, before, copy_row
 
 __all__ = ["fitted"]
@@ -53,7 +53,7 @@ class Fit(NamedTuple):
     fine_positions: ndarray  # (nV, 3)
     fine_faces: ndarray  # (nF, 3)
     normals: ndarray  # (nV, 3): of the samples, not normalised
-    weights: ndarray  # (nV,)
+    weights: ndarray  # (nV,): the area around each sample, up to a factor
     at: ndarray  # (nV,) int32: the coarse face that each sample lies in
     barycentric: ndarray  # (nV, 3): and where
     first: ndarray  # (nF0,) int32: a sample of each coarse face; -1: none
@@ -88,11 +88,10 @@ def prepare(result: SelfParameterization, side: int, passes: int) -> tuple[Fit, 
     """The kernels' arrays, positions about the centre of the box; and that centre."""
     fine, coarse = result.fine, result.coarse
     centre = (fine.vertices.min(axis=0) + fine.vertices.max(axis=0)) / 2
-    corners = fine.vertices[fine.faces] - centre
-    unit, size = unit_normals(corners)
-    flat = fine.faces.reshape(-1)
+    unit, size = unit_normals(fine.vertices[fine.faces] - centre)
     n, n_coarse = len(fine.vertices), len(result.faces)
-    normals = np.stack([np.bincount(flat, np.repeat(size * unit[:, k], 3), n) for k in range(3)], axis=1)
+    sums = np.zeros((n, 4))  # of each vertex's faces: normals, sizes
+    scatter(sums, fine.faces, np.column_stack([size[:, None] * unit, size]))
     at, barycentric = result.to_coarse(*corner_points(fine.faces, n))
     topology = coarse.topology
     starts = np.empty(len(coarse.vertices), np.int32)
@@ -110,8 +109,8 @@ def prepare(result: SelfParameterization, side: int, passes: int) -> tuple[Fit, 
         charts=grown(result.charts, len(fine.faces), len(result.charts.starts) - 1 + slides, slots),
         fine_positions=fine.vertices - centre,
         fine_faces=fine.faces,
-        normals=normals,
-        weights=np.bincount(flat, np.repeat(size / 6, 3), n),
+        normals=np.ascontiguousarray(sums[:, :3]),
+        weights=sums[:, 3].copy(),
         at=at.astype(np.int32),
         barycentric=barycentric,
         first=np.full(n_coarse, -1, np.int32),

@@ -136,32 +136,60 @@ def subtract_mean(quadric, gradients, j, k, attribute):
 
 def vertex_quadrics(
     positions: Float64[ndarray, "nV 3"], topology: Topology, spread: float
-) -> Float64[ndarray, "nV 10"]:
-    """The planes of each vertex's faces, weighted by their areas (Garland and Heckbert 1997).
+) -> tuple[Float64[ndarray, "nV 10"], Float64[ndarray, " nV"]]:
+    """The planes of each vertex's faces, weighted by their areas (Garland and Heckbert 1997); a third of these areas.
 
     Beside a boundary also the planes that stand on its edges, so that it keeps its shape.  With `spread` also the
     vertex itself: the costs then even out the area that a coarse vertex stands for, as k-means would.
     """
-    corners = positions[topology.faces]
-    unit, size = unit_normals(corners)
-    quadrics = np.zeros((len(positions), 10))
-    scatter(quadrics, topology.faces, plane_quadrics(unit, corners[:, 0], size / 2))
+    quadrics, areas = np.zeros((len(positions), 10)), np.zeros(len(positions))
+    add_planes(quadrics, areas, positions, topology.faces)
     if spread:
-        weight = spread * np.bincount(topology.faces.reshape(-1), np.repeat(size / 6, 3), len(positions))
+        weight = spread * areas
         for term in (0, 3, 5):  # weight |p - position|^2
             quadrics[:, term] += weight
         quadrics[:, 6:9] -= weight[:, None] * positions
         quadrics[:, 9] += weight * np.einsum("ij,ij->i", positions, positions)
-    border = topology.edge_halfedges[topology.is_boundary_edge].max(axis=1)
-    add_walls(quadrics, positions, topology.faces, unit, border)
-    return quadrics
+    add_walls(quadrics, positions, topology.faces, topology.edge_halfedges[topology.is_boundary_edge].max(axis=1))
+    return quadrics, areas
 
 
-def add_walls(quadrics: ndarray, positions: ndarray, faces: ndarray, unit: ndarray, halfedges: ndarray) -> None:
-    """Add, in place, the planes that stand on half-edges' faces (unit normals given) along these edges."""
+@njit(**COMPILED)
+def add_planes(quadrics, areas, positions, faces):
+    """Add the faces' planes, weighted by their areas, and thirds of these, to their vertices; in place."""
+    for f in range(len(faces)):
+        a, b, c = faces[f]
+        ux, uy, uz = (positions[b, 0] - positions[a, 0], positions[b, 1] - positions[a, 1],
+                      positions[b, 2] - positions[a, 2])
+        vx, vy, vz = (positions[c, 0] - positions[a, 0], positions[c, 1] - positions[a, 1],
+                      positions[c, 2] - positions[a, 2])
+        x, y, z = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        size = np.sqrt(x * x + y * y + z * z)
+        if not size > 0.0:
+            continue
+        x, y, z, weight = x / size, y / size, z / size, size / 2
+        d = -(x * positions[a, 0] + y * positions[a, 1] + z * positions[a, 2])
+        for v in (a, b, c):
+            quadric = quadrics[v]
+            quadric[0] += weight * (x * x)
+            quadric[1] += weight * (x * y)
+            quadric[2] += weight * (x * z)
+            quadric[3] += weight * (y * y)
+            quadric[4] += weight * (y * z)
+            quadric[5] += weight * (z * z)
+            quadric[6] += weight * (x * d)
+            quadric[7] += weight * (y * d)
+            quadric[8] += weight * (z * d)
+            quadric[9] += weight * (d * d)
+            areas[v] += size / 6
+
+
+def add_walls(quadrics: ndarray, positions: ndarray, faces: ndarray, halfedges: ndarray) -> None:
+    """Add, in place, the planes that stand on half-edges' faces along these edges."""
     face, corner = halfedges // 3, halfedges % 3
+    unit, _ = unit_normals(positions[faces[face]])
     ends = np.stack([faces[face, corner], faces[face, (corner + 1) % 3]], axis=1)
-    wall = np.cross(positions[ends[:, 1]] - positions[ends[:, 0]], unit[face])
+    wall = np.cross(positions[ends[:, 1]] - positions[ends[:, 0]], unit)
     length = np.linalg.norm(wall, axis=1, keepdims=True)
     wall = np.divide(wall, length, out=np.zeros_like(wall), where=length > 0)
     scatter(quadrics, ends, plane_quadrics(wall, positions[ends[:, 0]], BORDER * length[:, 0] ** 2))
@@ -185,8 +213,8 @@ def affine_quadrics(gradient: ndarray, offset: ndarray, weight: ndarray) -> Floa
     return weight[:, None] * np.stack([x * x, x * y, x * z, y * y, y * z, z * z, x * d, y * d, z * d, d * d], axis=1)
 
 
-def scatter(quadrics: ndarray, corners: Int64[ndarray, "n k"], values: ndarray) -> None:
-    """Add each row's quadric to all of its vertices, in place."""
+def scatter(sums: ndarray, corners: Int64[ndarray, "n k"], values: ndarray) -> None:
+    """Add each row of values to the rows of all of its vertices, in place."""
     n, k = corners.shape
-    rows = csc_array((np.ones(n * k), corners.reshape(-1), np.arange(0, n * k + 1, k)), shape=(len(quadrics), n))
-    quadrics += rows @ values
+    rows = csc_array((np.ones(n * k), corners.reshape(-1), np.arange(0, n * k + 1, k)), shape=(len(sums), n))
+    sums += rows @ values
