@@ -201,6 +201,14 @@ def test_decimate_names_what_is_wrong(fine, tmp_path, capsys, words, message):
     assert not (tmp_path / "c.obj").exists()
 
 
+def test_remesh_fits_unless_told_not_to(fine, tmp_path, capsys):
+    for name, *words in (("fitted.obj",), ("plain.obj", "--no-fit")):
+        assert neusub_command(capsys, "remesh", fine, "-o", tmp_path / name, "--faces", 80, *words)[0] == 0
+    fitted, plain = (neusub.load(tmp_path / name) for name in ("fitted.obj", "plain.obj"))
+    assert np.array_equal(fitted.faces, plain.faces)
+    assert not np.allclose(fitted.vertices, plain.vertices)
+
+
 def test_remesh_writes_all_levels(fine, tmp_path, capsys):
     status, out, _ = neusub_command(capsys, "remesh", fine, "-o", tmp_path / "r.obj", "--faces", 80, "--all-levels")
     assert status == 0 and "80 base faces -> 1,280" in out

@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from PIL import Image
 
 import shapes
@@ -9,6 +10,7 @@ from neusub.errors import MeshFileError, ParameterizationError
 from neusub.map_pictures import (
     DARK,
     TITLE,
+    add_chart,
     chart_faces,
     chart_uv,
     checkerboard,
@@ -102,3 +104,13 @@ def test_bad_words_are_refused_and_leave_nothing_behind(ball, tmp_path):
     with pytest.raises(MeshFileError, match="does not exist"):
         render_map(ball, tmp_path / "no" / "map.png", panel=PANEL)
     assert list(tmp_path.iterdir()) == []
+
+
+def test_slides_are_drawn_as_such(tmp_path):
+    result = decimate(Mesh(*shapes.bumpy(shapes.icosphere(4))), n_faces=100)
+    fitted, figure = result.fitted(), Figure()
+    last = int(fitted.charts.used[0]) - 1
+    assert last > int(result.charts.used[0])
+    add_chart(figure, fitted, last)
+    assert figure.texts[0].get_text() == f"slide {last:,} in the plane: before and after"
+    assert render_map(fitted, tmp_path / "map.png", collapse=last, panel=PANEL).exists()

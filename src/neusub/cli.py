@@ -262,7 +262,7 @@ def remesh_command(
         levels: Of refinement over the base.
         strategy: How the base is decimated (see 'neusub decimate').
         seed: Of the random strategy.
-        fit: Slide the base's vertices along the surface until the refinement keeps closer to it.
+        fit: Slide the base's vertices along the surface where that brings the refinement closer.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         overwrite: Replace files that exist.
     """

@@ -83,7 +83,7 @@ def check_words(
 ) -> None:
     n_charts = int(parameterization.charts.used[0])
     if collapse is not None and not 0 <= collapse < n_charts:
-        raise ParameterizationError(f"collapse = {collapse}: the map has {n_charts} collapses, counted from 0.")
+        raise ParameterizationError(f"collapse = {collapse}: the map has {n_charts} steps, counted from 0.")
     if checks < 0:
         raise ParameterizationError(f"checks = {checks}: take 0 or more.")
     if np.linalg.norm(np.cross(camera, up)) < 1e-9:
@@ -256,8 +256,8 @@ def usual_chart(parameterization: SelfParameterization) -> int:
 
 def add_chart(figure: Figure, parameterization: SelfParameterization, c: int) -> None:
     """Draw chart c into the figure's fourth panel, before and after; -1 is none."""
-    gone = inner_vertices(parameterization, c)[0] if c >= 0 else []
-    word = "removal" if len(gone) == 1 else "collapse"
+    gone, new = inner_vertices(parameterization, c) if c >= 0 else ([], [])
+    word = "collapse" if len(gone) != 1 else "slide" if len(new) == 1 else "removal"
     title = f"{word} {c:,} in the plane: before and after" if c >= 0 else "no collapse"
     height = figure.get_size_inches()[1] * DOTS
     figure.text(0.75, TITLE / 2 / height, title, ha="center", va="center", fontsize=10)

@@ -35,8 +35,8 @@ def remesh(
     """Levels 0 .. levels over a coarse base, every vertex on the original surface.
 
     n_vertices or n_faces: of the base, exactly one.  strategy, seed: as in `decimate`; "uniform" gives even triangles.
-    fit: slide the base's vertices along the surface until the refinement keeps closer to it (see
-    `SelfParameterization.fitted`); the triangles become a little less even.
+    fit: slide the base's vertices along the surface where that brings the refinement closer to it (see
+    `SelfParameterization.fitted`); triangles and map become a little less even.
     Face data follow from the face under each new face's centre; "original_face" is that face's index, for labels.
     UVs follow in one chart of the texture each; the load report says how many faces lie across a seam (for them,
     `SelfParameterization.bake`).  Colours are interpolated.

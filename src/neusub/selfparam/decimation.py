@@ -28,7 +28,7 @@ from neusub.selfparam.placement import (
     vertex_quadrics,
 )
 from neusub.selfparam.queue import make_queue
-from neusub.selfparam.surface import FIXED, FREE, Surface, make_ring
+from neusub.selfparam.surface import FIXED, FREE, Surface, frame_of, make_ring
 from neusub.topology import Topology
 
 __all__ = ["decimate"]
@@ -101,16 +101,10 @@ def checked_strategy(strategy: str | Any) -> tuple[Strategy, Any]:
 
 def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, criteria: Criteria, flattening: str,
             sharp_boundary_angle: float | None) -> tuple[Work, Order, tuple[ndarray, float]]:
-    """The kernel's arrays, the order of their vertices and faces, and what brings positions back: centre and scale.
-
-    The longest side of the box becomes 1/2 to 1, by a power of two: then nothing in the kernel is absolute, and a
-    mesh that is twice as large gives the same result to the last bit.
-    """
+    """The kernel's arrays, the order of their vertices and faces, and what brings positions back: centre and scale."""
     if flattening not in ("conformal", "uniform"):
         raise DecimationError(f"flattening {flattening!r} is not one of conformal, uniform.")
-    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
-    centre = (low + high) / 2
-    scale = float(np.exp2(np.ceil(np.log2((high - low).max() or 1.0))))
+    centre, scale = frame_of(mesh.vertices)
     positions = np.ascontiguousarray((mesh.vertices - centre) / scale)
     topology, n_faces = mesh.topology, len(mesh.faces)
     starts = outgoing(topology)

@@ -1,4 +1,4 @@
-"""Fitting a map: coarse vertices slide along the surface until the refinement keeps closer to it.  Not in the paper.
+"""Fitting a map: coarse vertices slide along the surface where that brings the refinement closer.  Not in the paper.
 
 A decimation chooses collapses by planes, and conformal maps say where on the surface a coarse vertex comes to lie;
 neither looks at the refinement.  The image of a vertex on a fingertip may be halfway down the finger, and the
@@ -25,11 +25,12 @@ from numpy import ndarray
 
 from neusub.errors import ParameterizationError
 from neusub.selfparam.criteria import plane_face, quality
+from neusub.selfparam.distances import squared_distance
 from neusub.selfparam.flatten import THINNEST, flatten_ring
-from neusub.selfparam.mapping import MADE, Charts, go_up, grown, locate, set_corners, trimmed
+from neusub.selfparam.mapping import CAPACITY, MADE, Charts, go_up, grown, locate, set_corners, trimmed
 from neusub.selfparam.parameterization import SelfParameterization, corner_points
 from neusub.selfparam.placement import scatter, unit_normals
-from neusub.selfparam.surface import COMPILED, after, before, copy_row
+from neusub.selfparam.surface import COMPILED, after, before, copy_row, frame_of
 
 __all__ = ["fitted"]
 
@@ -76,38 +77,37 @@ def fitted(result: SelfParameterization, levels: int = 2, passes: int = 5) -> Se
         raise ParameterizationError(f"levels = {levels}: take a number from 0 to 6.")
     if passes < 0:
         raise ParameterizationError(f"passes = {passes}: take 0 or more.")
-    fit, centre = prepare(result, 2**levels, passes)
-    least = (NEGLIGIBLE * np.linalg.norm(np.ptp(result.fine.vertices, axis=0))) ** 2
+    centre, scale = frame_of(result.fine.vertices)
+    fit = prepare(result, 2**levels, centre, scale)
+    least = (NEGLIGIBLE * np.linalg.norm(np.ptp(fit.fine_positions, axis=0))) ** 2
     for _ in range(passes):
+        fit = with_room(fit)
         if fit_pass(fit, max(CALM * mean_error(fit), least)) == 0:
             break
-    return replace(result, decimated=fit.images + centre, versions=fit.versions, charts=trimmed(fit.charts))
+    return replace(result, decimated=fit.images * scale + centre, versions=fit.versions, charts=trimmed(fit.charts))
 
 
-def prepare(result: SelfParameterization, side: int, passes: int) -> tuple[Fit, ndarray]:
-    """The kernels' arrays, positions about the centre of the box; and that centre."""
-    fine, coarse = result.fine, result.coarse
-    centre = (fine.vertices.min(axis=0) + fine.vertices.max(axis=0)) / 2
-    unit, size = unit_normals(fine.vertices[fine.faces] - centre)
-    n, n_coarse = len(fine.vertices), len(result.faces)
+def prepare(result: SelfParameterization, side: int, centre: ndarray, scale: float) -> Fit:
+    """The kernels' arrays; side: parts of a coarse edge in the refinement."""
+    fine, topology = result.fine, result.coarse.topology
+    positions = np.ascontiguousarray((fine.vertices - centre) / scale)
+    n, n_coarse = len(positions), len(result.faces)
+    unit, size = unit_normals(positions[fine.faces])
     sums = np.zeros((n, 4))  # of each vertex's faces: normals, sizes
     scatter(sums, fine.faces, np.column_stack([size[:, None] * unit, size]))
     at, barycentric = result.to_coarse(*corner_points(fine.faces, n))
-    topology = coarse.topology
-    starts = np.empty(len(coarse.vertices), np.int32)
+    starts = np.empty(topology.n_vertices, np.int32)
     starts[result.faces.reshape(-1)] = np.arange(3 * n_coarse)
-    starts[topology.is_boundary_vertex | seam_vertices(result)] = -1
-    slides = passes * int((starts >= 0).sum())
-    slots = len(result.charts.uv) + passes * (3 * n_coarse + len(starts))  # a slide has two places more than faces
-    capacity = int(topology.valence.max())
+    starts[topology.is_boundary_vertex | (topology.valence > CAPACITY)] = -1
+    capacity = int(topology.valence[starts >= 0].max(initial=0))
     fit = Fit(
         faces=result.faces.astype(np.int32),
         twins=topology.twins.astype(np.int32),
         starts=starts,
-        images=result.on_surface.vertices - centre,
+        images=(result.on_surface.vertices - centre) / scale,
         versions=result.versions.copy(),
-        charts=grown(result.charts, len(fine.faces), len(result.charts.starts) - 1 + slides, slots),
-        fine_positions=fine.vertices - centre,
+        charts=result.charts,
+        fine_positions=positions,
         fine_faces=fine.faces,
         normals=np.ascontiguousarray(sums[:, :3]),
         weights=sums[:, 3].copy(),
@@ -115,28 +115,33 @@ def prepare(result: SelfParameterization, side: int, passes: int) -> tuple[Fit, 
         barycentric=barycentric,
         first=np.full(n_coarse, -1, np.int32),
         following=np.full(n, -1, np.int32),
-        halfedges=np.zeros(capacity, np.int32),
-        points=np.zeros((capacity + 1, 3)),
-        uv=np.zeros((capacity + 2, 2)),
-        fans=np.zeros((2, capacity, 4), np.uint16),
-        patch=np.zeros((capacity, side + 1, side + 1, 3)),
-        members=np.zeros(n, np.int32),
-        places=np.zeros((n, 2)),
-        version=np.zeros(1, np.int32),
-        point=np.zeros((1, 3)),
+        **scratch(n, capacity, side),
     )
     link(fit)
-    return fit, centre
+    return fit
 
 
-def seam_vertices(result: SelfParameterization) -> ndarray:
-    """Coarse vertices on a seam of the fine mesh's texture: what keeps appearance needs them there."""
-    is_seam = np.zeros(len(result.decimated), dtype=bool)
-    if result.fine.uv is None or result.fine.uv_faces is None:
-        return is_seam
-    _, uv_faces, _ = result.transfer_corners(result.fine.uv, result.fine.uv_faces)
-    pairs = np.unique(np.stack([result.faces.reshape(-1), uv_faces.reshape(-1)], axis=1), axis=0)
-    return np.bincount(pairs[:, 0], minlength=len(is_seam)) > 1
+def scratch(n: int, capacity: int, side: int) -> dict[str, ndarray]:
+    """For n samples and rings of so many neighbours."""
+    return {
+        "halfedges": np.zeros(capacity, np.int32),
+        "points": np.zeros((capacity + 1, 3)),
+        "uv": np.zeros((capacity + 2, 2)),
+        "fans": np.zeros((2, capacity, 4), np.uint16),
+        "patch": np.zeros((capacity, side + 1, side + 1, 3)),
+        "members": np.zeros(n, np.int32),
+        "places": np.zeros((n, 2)),
+        "version": np.zeros(1, np.int32),
+        "point": np.zeros((1, 3)),
+    }
+
+
+def with_room(fit: Fit) -> Fit:
+    """Room for the charts of one pass: each vertex slides once, over all of its faces; a slide has two places more."""
+    charts = fit.charts
+    slots = len(charts.uv) + 3 * len(fit.faces) + len(fit.starts)
+    n_charts = len(charts.starts) - 1 + len(fit.starts)
+    return fit._replace(charts=grown(charts, len(fit.fine_faces), n_charts, slots))
 
 
 # --- kernels -----------------------------------------------------------------------------------------------------
@@ -341,33 +346,6 @@ def distance(fit, k, t, a, b):
     facing = ((uy * vz - uz * vy) * normal[0] + (uz * vx - ux * vz) * normal[1] + (ux * vy - uy * vx) * normal[2])
     fold = FOLD * (ux * ux + uy * uy + uz * uz) if facing < 0.0 else 0.0
     return fold + squared_distance(ux, uy, uz, vx, vy, vz, x, y, z)
-
-
-@njit(**COMPILED)
-def squared_distance(ux, uy, uz, vx, vy, vz, x, y, z):
-    """Of a point to the triangle of the origin, u and v."""
-    uu, uv, vv = ux * ux + uy * uy + uz * uz, ux * vx + uy * vy + uz * vz, vx * vx + vy * vy + vz * vz
-    u, v = x * ux + y * uy + z * uz, x * vx + y * vy + z * vz
-    determinant = uu * vv - uv * uv
-    a, b = (vv * u - uv * v) / determinant, (uu * v - uv * u) / determinant
-    if a >= 0.0 and b >= 0.0 and a + b <= 1.0:
-        return squared_at(ux, uy, uz, vx, vy, vz, x, y, z, a, b)
-    best = squared_at(ux, uy, uz, vx, vy, vz, x, y, z, portion(u, uu), 0.0)
-    best = min(best, squared_at(ux, uy, uz, vx, vy, vz, x, y, z, 0.0, portion(v, vv)))
-    b = portion(v - u - uv + uu, uu + vv - 2 * uv)
-    return min(best, squared_at(ux, uy, uz, vx, vy, vz, x, y, z, 1 - b, b))
-
-
-@njit(**COMPILED)
-def portion(dot, squared):
-    """Of an edge of this squared length; no further than its ends."""
-    return min(max(dot / squared, 0.0), 1.0) if squared > 0.0 else 0.0
-
-
-@njit(**COMPILED)
-def squared_at(ux, uy, uz, vx, vy, vz, x, y, z, a, b):
-    dx, dy, dz = x - a * ux - b * vx, y - a * uy - b * vy, z - a * uz - b * vz
-    return dx * dx + dy * dy + dz * dz
 
 
 @njit(**COMPILED)

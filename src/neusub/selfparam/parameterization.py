@@ -34,7 +34,8 @@ CHUNK = 4096  # points a thread takes at a time
 class SelfParameterization:
     """What `decimate` gives.
 
-    fine: the input.  faces (nF0, 3), decimated (nV0, 3): the coarse mesh, at the decimator's own positions.
+    fine: the input.  faces (nF0, 3), decimated (nV0, 3): the coarse mesh, at the decimator's own positions; of a fitted
+    map at the vertices' images.
     reached: whether the target was met.  counts: collapses ("legal") and refusals by reason.
     A point is a face's index and barycentric coordinates; its image under the map is one, too.
     """
@@ -51,7 +52,7 @@ class SelfParameterization:
 
     @cached_property
     def coarse(self) -> Mesh:
-        """The coarse mesh with its vertices where the decimation put them."""
+        """The coarse mesh with its vertices where the decimation put them; of a fitted map, at their images."""
         return Mesh(self.decimated, self.faces)
 
     @cached_property
@@ -119,10 +120,10 @@ class SelfParameterization:
         return bake(self, texture, levels, density=density)
 
     def fitted(self, levels: int = 2, passes: int = 5) -> SelfParameterization:
-        """The map with coarse vertices slid along the surface, so that refinements keep closer to it.
+        """The map with coarse vertices slid along the surface where that brings refinements closer to it.
 
         The refinement at `levels` is compared with the fine mesh, in some passes over all vertices.  Not in the paper.
-        `decimated` becomes the vertices' images.  Boundaries and seams of the texture stay.
+        `decimated` becomes the vertices' images.  Vertices on a boundary stay.
         Raises: ParameterizationError for levels or passes out of range.
         """
         from neusub.selfparam.fitting import fitted

@@ -1,7 +1,7 @@
-"""The edges that may collapse, with their costs: a heap of four, or an unordered list to draw from at random.
+"""The edges that may collapse, with their costs: a heap, or an unordered list to draw from at random.
 
 Both hold the same arrays; edges are named by their lower half-edge.  On a large mesh the time goes into waiting for
-memory: cost and edge lie side by side, and the four children of an entry in one line of the cache.
+memory: cost and edge lie side by side, and an entry has four children, which lie in one line of the cache.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from numpy import ndarray
 from neusub.selfparam.surface import COMPILED
 
 __all__ = ["FIRST", "Queue", "cheapest", "draw", "make_queue", "put", "take_out"]
-
 
 FIRST = 3  # row of the first entry, so that children begin at multiples of four
 LINE = 64  # bytes

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-__all__ = ["FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "collapse_edge", "gather_ring", "make_ring"]
+__all__ = ["FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "collapse_edge", "frame_of", "gather_ring", "make_ring"]
 
 # The kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third of the
 # time).  Then no array is assigned to a slice as a whole; `copy_row` does it.  Divisions by zero give inf, as in numpy.
@@ -58,6 +58,16 @@ class Ring(NamedTuple):
 def make_ring(capacity: int) -> Ring:
     return Ring(np.zeros(capacity, np.int32), np.zeros(capacity, np.int32), np.zeros((capacity + 3, 3)),
                 np.zeros((capacity + 3, 2)), np.zeros(capacity))
+
+
+def frame_of(vertices: ndarray) -> tuple[ndarray, float]:
+    """Centre and scale of the normalised frame, (vertices - centre) / scale.
+
+    The longest side of the box becomes 1/2 to 1, by a power of two: then nothing in a kernel is absolute, and a mesh
+    that is twice as large gives the same result to the last bit.
+    """
+    low, high = vertices.min(axis=0), vertices.max(axis=0)
+    return (low + high) / 2, float(np.exp2(np.ceil(np.log2((high - low).max() or 1.0))))
 
 
 @njit(**COMPILED)
