@@ -14,7 +14,7 @@ from neusub.map_pictures import chart_faces
 from neusub.mesh import Mesh
 from neusub.metrics import triangle_quality
 from neusub.remeshing import on_surface, remesh
-from neusub.selfparam import STRATEGIES, SelfParameterization, decimate
+from neusub.selfparam import STRATEGIES, SelfParameterization, decimate, fitting
 from neusub.selfparam.distances import squared_distance
 from neusub.selfparam.fitting import FOLD, prepare
 from neusub.selfparam.fitting import distance as sample_distance
@@ -108,7 +108,7 @@ def test_samples_pay_for_triangles_that_face_away():
     result = decimate(mesh_of("sphere"), n_faces=100)
     fit = prepare(result, 1, *frame_of(result.fine.vertices))
     fit.patch[0, 0, 0], fit.patch[0, 1, 0], fit.patch[0, 0, 1] = (0, 0, 0), (2, 0, 0), (0, 1, 0)
-    fit.fine_positions[7] = 0.5, 0.25, 0.3
+    fit.samples[7] = 0.5, 0.25, 0.3
     for height, expected in ((1.0, 0.09), (0.0, 0.09), (-1.0, 0.09 + FOLD * 4)):
         fit.normals[7] = 0, 0, height
         assert sample_distance(fit, 7, 0, 0.25, 0.25) == pytest.approx(expected)
@@ -138,6 +138,17 @@ def test_the_boundary_stays(name):
     assert np.abs(fitted.decimated[~border] - result.on_surface.vertices[~border]).max() > 0.01
 
 
+def test_a_part_of_the_samples_does_as_well(monkeypatch):
+    mesh = spiky()
+    result = decimate(mesh, n_faces=300, strategy="uniform")
+    plain, whole = (distance(on_surface(r, 1), mesh).mean for r in (result, result.fitted(1)))
+    monkeypatch.setattr(fitting, "DENSE", 3)
+    assert len(prepare(result, 2, *frame_of(mesh.vertices)).samples) == 3600 < len(mesh.vertices)
+    part = distance(on_surface(result.fitted(1), 1), mesh).mean
+    assert max(whole, part) < 0.95 * plain
+    assert whole != part
+
+
 def test_what_is_flat_needs_no_fit():
     vertices, faces = shapes.refined(shapes.grid(6, 6), 2)
     result = decimate(Mesh(vertices, faces), n_faces=60)
@@ -150,11 +161,11 @@ def test_remesh_fits_unless_told_not_to():
     assert distance(fitted, mesh).mean < 0.95 * distance(plain, mesh).mean
 
 
-@pytest.mark.parametrize(("levels", "passes", "message"),
-                         [(-1, 1, "levels = -1"), (7, 1, "levels = 7"), (2, -1, "passes = -1")])  # fmt: skip
-def test_numbers_out_of_range_are_named(levels, passes, message):
-    with pytest.raises(ParameterizationError, match=message):
-        decimated("sphere").fitted(levels, passes)
+@pytest.mark.parametrize("numbers", [{"levels": -1}, {"levels": 7}, {"passes": -1}, {"passes": 21}])
+def test_numbers_out_of_range_are_named(numbers):
+    name, value = next(iter(numbers.items()))
+    with pytest.raises(ParameterizationError, match=f"{name} = {value}: take a number from"):
+        decimated("sphere").fitted(**numbers)
 
 
 def test_distances_to_triangles_are_those_of_igl():

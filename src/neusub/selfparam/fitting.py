@@ -11,7 +11,7 @@ refinement then cuts the tip off.
 
 A slide is a chart as a collapse is (`mapping.py`).  The vertex's d neighbours go into the plane by z^a; there it goes
 from the centre (local index d) to another place (d + 1), and each face keeps its outer edge (t, t + 1).  Samples are
-the fine mesh's vertices, each as much as its area.
+the fine mesh's vertices, each as much as its area; of very fine meshes a random part of them.
 """
 
 from __future__ import annotations
@@ -39,6 +39,8 @@ GAIN = 0.02  # a slide must take so much off the error: the map gets no longer f
 MIN_QUALITY = 0.2  # of the faces in the plane, as `Criteria` has it
 CALM = 0.5  # a ring whose mean squared distance is less than so much of the mean over all stays: even faces stay even
 NEGLIGIBLE = 1e-9  # distance, of the box's diagonal: rounding
+MOST_PASSES = 20  # after some eight nothing slides any more
+DENSE = 16  # samples for each refined triangle are enough
 FOLD = 0.05  # what a refined triangle that faces away costs a sample: of its squared edge
 
 
@@ -53,20 +55,21 @@ class Fit(NamedTuple):
     charts: Charts
     fine_positions: ndarray  # (nV, 3)
     fine_faces: ndarray  # (nF, 3)
-    normals: ndarray  # (nV, 3): of the samples, not normalised
-    weights: ndarray  # (nV,): the area around each sample, up to a factor
-    at: ndarray  # (nV,) int32: the coarse face that each sample lies in
-    barycentric: ndarray  # (nV, 3): and where
+    samples: ndarray  # (n, 3)
+    normals: ndarray  # (n, 3): of the samples, not normalised
+    weights: ndarray  # (n,): the area around each sample, up to a factor
+    at: ndarray  # (n,) int32: the coarse face that each sample lies in
+    barycentric: ndarray  # (n, 3): and where
     first: ndarray  # (nF0,) int32: a sample of each coarse face; -1: none
-    following: ndarray  # (nV,) int32: the next one of the same face
+    following: ndarray  # (n,) int32: the next one of the same face
     halfedges: ndarray  # (capacity,) int32, scratch: the half-edges that leave the vertex, counter-clockwise
     points: ndarray  # (capacity + 1, 3), scratch: the neighbours, the vertex
     uv: ndarray  # (capacity + 2, 2), scratch
     fans: ndarray  # (2, capacity, 4) uint16, scratch: local corners of the faces before and after
     patch: ndarray  # (capacity, side + 1, side + 1, 3), scratch: points of the refinement, [t, a, b] a / side of the
     # way from the vertex to neighbour t and b / side of that to the next one
-    members: ndarray  # (nV,) int32, scratch: the samples in the ring
-    places: ndarray  # (nV, 2), scratch: theirs in the plane
+    members: ndarray  # (n,) int32, scratch: the samples in the ring
+    places: ndarray  # (n, 2), scratch: theirs in the plane
     version: ndarray  # (1,) int32, scratch: of one point on its way up
     point: ndarray  # (1, 3), scratch
 
@@ -75,14 +78,15 @@ def fitted(result: SelfParameterization, levels: int = 2, passes: int = 5) -> Se
     """See `SelfParameterization.fitted`."""
     if not 0 <= levels <= 6:
         raise ParameterizationError(f"levels = {levels}: take a number from 0 to 6.")
-    if passes < 0:
-        raise ParameterizationError(f"passes = {passes}: take 0 or more.")
+    if not 0 <= passes <= MOST_PASSES:
+        raise ParameterizationError(f"passes = {passes}: take a number from 0 to {MOST_PASSES}.")
     centre, scale = frame_of(result.fine.vertices)
-    fit = prepare(result, 2**levels, centre, scale)
+    fit = with_room(prepare(result, 2**levels, centre, scale), passes)
     least = (NEGLIGIBLE * np.linalg.norm(np.ptp(fit.fine_positions, axis=0))) ** 2
+    _, mean = fit_pass(fit, np.inf)  # nothing slides
     for _ in range(passes):
-        fit = with_room(fit)
-        if fit_pass(fit, max(CALM * mean_error(fit), least)) == 0:
+        slid, mean = fit_pass(fit, max(CALM * mean, least))
+        if slid == 0:
             break
     return replace(result, decimated=fit.images * scale + centre, versions=fit.versions, charts=trimmed(fit.charts))
 
@@ -91,11 +95,11 @@ def prepare(result: SelfParameterization, side: int, centre: ndarray, scale: flo
     """The kernels' arrays; side: parts of a coarse edge in the refinement."""
     fine, topology = result.fine, result.coarse.topology
     positions = np.ascontiguousarray((fine.vertices - centre) / scale)
-    n, n_coarse = len(positions), len(result.faces)
+    n_coarse, chosen = len(result.faces), some_vertices(len(positions), DENSE * len(result.faces) * side**2)
     unit, size = unit_normals(positions[fine.faces])
-    sums = np.zeros((n, 4))  # of each vertex's faces: normals, sizes
+    sums = np.zeros((len(positions), 4))  # of each vertex's faces: normals, sizes
     scatter(sums, fine.faces, np.column_stack([size[:, None] * unit, size]))
-    at, barycentric = result.to_coarse(*corner_points(fine.faces, n))
+    at, barycentric = result.to_coarse(*(rows[chosen] for rows in corner_points(fine.faces, len(positions))))
     starts = np.empty(topology.n_vertices, np.int32)
     starts[result.faces.reshape(-1)] = np.arange(3 * n_coarse)
     starts[topology.is_boundary_vertex | (topology.valence > CAPACITY)] = -1
@@ -109,16 +113,22 @@ def prepare(result: SelfParameterization, side: int, centre: ndarray, scale: flo
         charts=result.charts,
         fine_positions=positions,
         fine_faces=fine.faces,
-        normals=np.ascontiguousarray(sums[:, :3]),
-        weights=sums[:, 3].copy(),
+        samples=positions[chosen],
+        normals=sums[chosen, :3],
+        weights=sums[chosen, 3],
         at=at.astype(np.int32),
         barycentric=barycentric,
         first=np.full(n_coarse, -1, np.int32),
-        following=np.full(n, -1, np.int32),
-        **scratch(n, capacity, side),
+        following=np.full(len(chosen), -1, np.int32),
+        **scratch(len(chosen), capacity, side),
     )
     link(fit)
     return fit
+
+
+def some_vertices(n: int, most: int) -> ndarray:
+    """All of n, or so many random ones."""
+    return np.arange(n) if n <= most else np.sort(np.random.default_rng(0).choice(n, most, replace=False))
 
 
 def scratch(n: int, capacity: int, side: int) -> dict[str, ndarray]:
@@ -136,11 +146,11 @@ def scratch(n: int, capacity: int, side: int) -> dict[str, ndarray]:
     }
 
 
-def with_room(fit: Fit) -> Fit:
-    """Room for the charts of one pass: each vertex slides once, over all of its faces; a slide has two places more."""
+def with_room(fit: Fit, passes: int) -> Fit:
+    """In each pass a vertex slides at most once, over all of its faces; a slide has two places more."""
     charts = fit.charts
-    slots = len(charts.uv) + 3 * len(fit.faces) + len(fit.starts)
-    n_charts = len(charts.starts) - 1 + len(fit.starts)
+    slots = len(charts.uv) + passes * (3 * len(fit.faces) + len(fit.starts))
+    n_charts = len(charts.starts) - 1 + passes * len(fit.starts)
     return fit._replace(charts=grown(charts, len(fit.fine_faces), n_charts, slots))
 
 
@@ -156,35 +166,28 @@ def link(fit):
 
 
 @njit(**COMPILED)
-def mean_error(fit):
-    """Mean squared distance of the samples in all rings."""
-    error = weight = 0.0
-    for v in range(len(fit.starts)):
-        d, count, _ = open_ring(fit, v)
-        if d > 0:
-            error += error_at(fit, d, count, 0.0, 0.0)
-            weight += weight_of(fit, count)
-    return error / weight if weight > 0.0 else 0.0
-
-
-@njit(**COMPILED)
 def fit_pass(fit, calm):
-    """One pass over all vertices; how many of them slid.  calm: mean squared distance in a ring that stays."""
-    slid = 0
+    """One pass over all vertices: how many of them slid, and the mean squared distance in all rings, before they did.
+
+    calm: mean squared distance in a ring that stays.
+    """
+    slid, error, weight = 0, 0.0, 0.0
     for v in range(len(fit.starts)):
-        slid += fit_vertex(fit, v, calm)
-    return slid
+        d, count, worst = open_ring(fit, v)
+        if d > 0:
+            before = error_at(fit, d, count, 0.0, 0.0)
+            around = weight_of(fit, count)
+            error += before
+            weight += around
+            if before > calm * around:
+                slid += fit_vertex(fit, v, d, count, worst, before)
+    return slid, error / weight if weight > 0.0 else 0.0
 
 
 @njit(**COMPILED)
-def fit_vertex(fit, v, calm):
-    """Whether the vertex slid."""
-    d, count, worst = open_ring(fit, v)
-    if d == 0:
-        return False
-    least = error_at(fit, d, count, 0.0, 0.0) * (1 - GAIN)
-    if least <= calm * weight_of(fit, count):
-        return False
+def fit_vertex(fit, v, d, count, worst, error):
+    """Whether the vertex slid; d, count, worst: of its open ring, with this error."""
+    least = error * (1 - GAIN)
     uv, closest = fit.uv, np.inf
     for t in range(d):
         closest = min(closest, np.sqrt(uv[t, 0] * uv[t, 0] + uv[t, 1] * uv[t, 1]))
@@ -194,9 +197,9 @@ def fit_vertex(fit, v, calm):
         y = STEP * closest * ((direction == 1) - (direction == 3))
         uv[d + 1, 0], uv[d + 1, 1] = x, y
         if worst_of(fit, 1, d) > min(MIN_QUALITY, worst):
-            error = error_at(fit, d, count, x, y)
-            if error < least:
-                least, best_x, best_y = error, x, y
+            there = error_at(fit, d, count, x, y)
+            if there < least:
+                least, best_x, best_y = there, x, y
     if best_x == 0.0 and best_y == 0.0:
         return False
     slide(fit, v, d, count, best_x, best_y)
@@ -341,7 +344,7 @@ def distance(fit, k, t, a, b):
         p, q, r = fit.patch[t, i + 1, j + 1], fit.patch[t, i, j + 1], fit.patch[t, i + 1, j]
     ux, uy, uz = q[0] - p[0], q[1] - p[1], q[2] - p[2]
     vx, vy, vz = r[0] - p[0], r[1] - p[1], r[2] - p[2]
-    at, normal = fit.fine_positions[k], fit.normals[k]
+    at, normal = fit.samples[k], fit.normals[k]
     x, y, z = at[0] - p[0], at[1] - p[1], at[2] - p[2]
     facing = ((uy * vz - uz * vy) * normal[0] + (uz * vx - ux * vz) * normal[1] + (ux * vy - uy * vx) * normal[2])
     fold = FOLD * (ux * ux + uy * uy + uz * uz) if facing < 0.0 else 0.0
