@@ -5,6 +5,7 @@ it leaves behind.
 """
 
 from collections.abc import Iterator
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -19,6 +20,7 @@ from neusub.selfparam import STRATEGIES, Criteria, SelfParameterization, decimat
 from neusub.selfparam import decimation as door
 from neusub.selfparam.collapse import DONE, FULL, STUCK, Work, collapse_null_edges, offer_all, run
 from neusub.selfparam.queue import FIRST
+from neusub.selfparam.surface import announce
 from neusub.topology import connected_components
 
 
@@ -309,3 +311,14 @@ def test_the_order_in_memory_changes_nothing_but_time(monkeypatch):
         return (barycentric[:, :, None] * parameterization.decimated[parameterization.faces[faces]]).sum(axis=1)
 
     np.testing.assert_allclose(centres_below(result), centres_below(expected), atol=1e-9)
+
+
+def test_a_compilation_is_announced_once_on_a_machine(tmp_path, caplog):
+    stats = SimpleNamespace(cache_path=str(tmp_path))
+    kernel = SimpleNamespace(py_func=run.py_func, stats=stats, signatures=[])
+    announce(kernel, "kernels")
+    assert [record.message for record in caplog.records] == ["neusub: compiling kernels, once on this machine ..."]
+    for known in (SimpleNamespace(py_func=run.py_func, stats=stats, signatures=["compiled"]), kernel):
+        announce(known, "kernels")
+        (tmp_path / "collapse.run-75.py311.nbi").touch()  # as numba names them
+    assert len(caplog.records) == 1

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import logging
 from collections.abc import Callable
-from pathlib import Path
 from typing import Any, Literal
 
 import numpy as np
@@ -28,7 +26,7 @@ from neusub.selfparam.placement import (
     vertex_quadrics,
 )
 from neusub.selfparam.queue import make_queue
-from neusub.selfparam.surface import FIXED, FREE, Surface, frame_of, make_ring
+from neusub.selfparam.surface import FIXED, FREE, Surface, announce, frame_of, make_ring
 from neusub.topology import Topology
 
 __all__ = ["decimate"]
@@ -63,7 +61,7 @@ def decimate(
     targets = checked_targets(mesh, n_vertices, n_faces)
     plan, user = checked_strategy(strategy)
     work, order, frame = prepare(mesh, plan, targets, seed, criteria or Criteria(), flattening, sharp_boundary_angle)
-    announce_compilation()
+    announce(run, "the decimation kernels")
     work, status = collapse_all(work, user, targets, on_progress)
     centre, scale = frame
     work.surface.positions[:] = work.surface.positions * scale + centre
@@ -221,9 +219,3 @@ def sharp_boundary_vertices(positions: ndarray, topology: Topology, angle: float
     leaves[a], arrives[b] = direction, direction
     turn = np.arctan2(np.linalg.norm(np.cross(arrives, leaves), axis=1), (arrives * leaves).sum(axis=1))
     return topology.is_boundary_vertex & (turn > np.radians(angle))
-
-
-def announce_compilation() -> None:
-    """Say so where the kernels are about to be compiled, once on a machine, which takes some seconds."""
-    if not run.signatures and not any(Path(run.stats.cache_path or ".").glob("collapse.run-*.nbi")):
-        logging.getLogger("neusub").warning("neusub: compiling the decimation kernels, once on this machine ...")

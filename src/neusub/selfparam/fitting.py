@@ -30,7 +30,7 @@ from neusub.selfparam.flatten import THINNEST, flatten_ring
 from neusub.selfparam.mapping import CAPACITY, MADE, Charts, go_up, grown, locate, set_corners, trimmed
 from neusub.selfparam.parameterization import SelfParameterization, corner_points
 from neusub.selfparam.placement import scatter, unit_normals
-from neusub.selfparam.surface import COMPILED, after, before, copy_row, frame_of
+from neusub.selfparam.surface import COMPILED, after, announce, before, copy_row, frame_of
 
 __all__ = ["fitted"]
 
@@ -80,6 +80,7 @@ def fitted(result: SelfParameterization, levels: int = 2, passes: int = 5) -> Se
         raise ParameterizationError(f"levels = {levels}: take a number from 0 to 6.")
     if not 0 <= passes <= MOST_PASSES:
         raise ParameterizationError(f"passes = {passes}: take a number from 0 to {MOST_PASSES}.")
+    announce(fit_pass, "the fitting kernels")
     centre, scale = frame_of(result.fine.vertices)
     fit = with_room(prepare(result, 2**levels, centre, scale), passes)
     least = (NEGLIGIBLE * np.linalg.norm(np.ptp(fit.fine_positions, axis=0))) ** 2

@@ -16,13 +16,17 @@ Everything here is a compiled kernel on arrays that it trusts; `collapse.py` che
 
 from __future__ import annotations
 
-from typing import NamedTuple
+import logging
+from pathlib import Path
+from typing import Any, NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy import ndarray
 
-__all__ = ["FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "collapse_edge", "frame_of", "gather_ring", "make_ring"]
+__all__ = [
+    "FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "announce", "collapse_edge", "frame_of", "gather_ring", "make_ring",
+]  # fmt: skip
 
 # The kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third of the
 # time).  Then no array is assigned to a slice as a whole; `copy_row` does it.  Divisions by zero give inf, as in numpy.
@@ -58,6 +62,14 @@ class Ring(NamedTuple):
 def make_ring(capacity: int) -> Ring:
     return Ring(np.zeros(capacity, np.int32), np.zeros(capacity, np.int32), np.zeros((capacity + 3, 3)),
                 np.zeros((capacity + 3, 2)), np.zeros(capacity))
+
+
+def announce(kernel: Any, what: str) -> None:
+    """Say so where a kernel is about to be compiled, once on a machine, which takes some seconds."""
+    module = kernel.py_func.__module__.rpartition(".")[2]
+    cached = Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")
+    if not kernel.signatures and not any(cached):
+        logging.getLogger("neusub").warning(f"neusub: compiling {what}, once on this machine ...")
 
 
 def frame_of(vertices: ndarray) -> tuple[ndarray, float]:
