@@ -76,7 +76,8 @@ def fit() -> str:
     def row(shape: str) -> list[str]:
         numbers = [data[kind][shape] for kind in data]
         numbers.insert(0, data["quadric"][shape]["reference"])
-        return [shape.split("_")[-1], *(f"{100 * n['mean']:.3f} / {100 * n['hausdorff']:.2f}" for n in numbers)]
+        name = shape.split("_", 1)[1].replace("_", " ")
+        return [name, *(f"{100 * n['mean']:.3f} / {100 * n['hausdorff']:.2f}" for n in numbers)]
 
     def evenness(kind: str) -> str:
         rows = data[kind].values()

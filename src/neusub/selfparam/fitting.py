@@ -39,7 +39,7 @@ GAIN = 0.02  # a slide must take so much off the error: the map gets no longer f
 MIN_QUALITY = 0.2  # of the faces in the plane, as `Criteria` has it
 CALM = 0.5  # a ring whose mean squared distance is less than so much of the mean over all stays: even faces stay even
 NEGLIGIBLE = 1e-9  # distance, of the box's diagonal: rounding
-MOST_PASSES = 20  # after some eight nothing slides any more
+MOST_PASSES = 20  # after some eight the remeshes hardly change
 DENSE = 16  # samples for each refined triangle are enough
 FOLD = 0.05  # what a refined triangle that faces away costs a sample: of its squared edge
 

@@ -11,7 +11,7 @@ Half-edge h = 3 f + i runs from corner i of face f to the next one (as in `topol
 An end on the boundary leaves one ring edge without a face: `gap`.  Along a boundary edge there is no f1 (and no d);
 the gap is then at `split`, between the boundary neighbours of j and of k.
 
-Everything here is a compiled kernel on arrays that it trusts; `collapse.py` checks.
+But for `announce`, `frame_of` and `make_ring` all are compiled kernels on arrays that they trust; `collapse.py` checks.
 """
 
 from __future__ import annotations
