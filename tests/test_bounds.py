@@ -9,7 +9,7 @@ import torch
 import patches
 import shapes
 from neusub import subdivider
-from neusub.bounds import around_edges, around_vertices
+from neusub.bounds import around_edges, around_vertices, measured
 from neusub.frames import edge_vectors, local_frames, vertex_turns
 from neusub.mesh import Mesh
 from neusub.schemes import subdivide_classic, subdivision_matrix
@@ -199,7 +199,7 @@ def test_a_divided_box_stays_that_box(settle):
 def held_by_what_is_around(vertices, faces):
     level = flaps_of(faces, len(vertices), 1)[0]
     edges = edge_vectors(level.by_vertex, torch.as_tensor(vertices))
-    return level, around_vertices(level.by_vertex, edges, local_frames(edges)[0], 0.03)
+    return level, around_vertices(level.by_vertex, measured(level.by_vertex, edges, local_frames(edges)[0], True), 0.03)
 
 
 @pytest.mark.parametrize("make", [lambda: shapes.icosphere(1), lambda: shapes.open_cylinder(12, 4), shapes.icosahedron,

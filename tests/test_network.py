@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import torch
 
+import neusub.compiled
 import neusub.flaps
 import shapes
 from neusub.configuration import PRESETS, Architecture
@@ -20,6 +21,13 @@ OPTIONS = [pytest.param({}, id="paper"), pytest.param(DEFAULT, id="default")]
 GOLDEN_FILES = ("valid_001", "valid_005", "test_bunny", "test_horse")
 REFERENCE_NAMES = {"initial": "init", "vertex": "vertex", "edge": "edge",
                    "first": "layerIn", "hidden": "hidden.0", "last": "layerOut"}
+
+
+@pytest.fixture(params=["tensors", "compiled"])
+def way(request, monkeypatch):
+    """Each of the two ways to the same numbers: `said_by_tensors` and the kernels."""
+    monkeypatch.setattr(neusub.compiled, "serves", lambda *_: request.param == "compiled")
+    return request.param
 
 
 def flaps_of(faces, n_vertices, levels=2):
@@ -58,7 +66,7 @@ def bumpy(vertices, seed=1):
 
 
 @pytest.mark.parametrize("make", [lambda: shapes.torus(8, 6), lambda: shapes.grid(5, 4), shapes.tetrahedron])
-def test_rotating_the_input_rotates_the_output(make):
+def test_rotating_the_input_rotates_the_output(make, way):
     vertices, faces = make()
     vertices = bumpy(vertices)
     turn = rotation()
@@ -104,7 +112,7 @@ def test_chunks_do_not_change_the_output(make, options, monkeypatch):
 @pytest.mark.parametrize("options", [{}, {"vectors": 2, "turns": True, "residual": True, "activation": "silu"}],
                          ids=["paper", "vectors"])  # sizes and heights count as constants, so not with these
 @pytest.mark.parametrize("make", [lambda: shapes.torus(5, 4), lambda: shapes.grid(3, 3)])
-def test_gradients_equal_finite_differences(make, options):
+def test_gradients_equal_finite_differences(make, options, way):
     vertices, faces = make()
     network = random_network(**options)
     levels = flaps_of(faces, len(vertices), 2)
@@ -162,7 +170,7 @@ def degenerate_meshes():
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("name, mesh", degenerate_meshes(), ids=lambda value: value if isinstance(value, str) else "")
-def test_degenerate_faces_give_finite_output_and_gradients(name, mesh, dtype):
+def test_degenerate_faces_give_finite_output_and_gradients(name, mesh, dtype, way):
     vertices, faces = mesh
     network = random_network(dtype=dtype)
     assert all(torch.isfinite(out).all() for out in run(network, vertices, faces))
@@ -172,7 +180,7 @@ def test_degenerate_faces_give_finite_output_and_gradients(name, mesh, dtype):
 
 
 @pytest.mark.parametrize("options", [{"relative": True}, DEFAULT], ids=["relative", "default"])
-def test_a_relative_network_knows_no_scale(options):
+def test_a_relative_network_knows_no_scale(options, way):
     vertices, faces = shapes.torus(9, 7)
     network = random_network(**options)
     for out, scaled in zip(run(network, vertices, faces), run(network, vertices * 1000, faces)):
@@ -180,7 +188,7 @@ def test_a_relative_network_knows_no_scale(options):
 
 
 @pytest.mark.parametrize("options", [{"relative": True}, DEFAULT], ids=["relative", "default"])
-def test_parts_of_a_relative_network_behave_as_each_alone(options):
+def test_parts_of_a_relative_network_behave_as_each_alone(options, way):
     (a, f), (b, g) = shapes.torus(9, 7), shapes.icosahedron()
     network = random_network(**options)
     both = run(network, np.concatenate([a, 1e-3 * b + 5]), np.concatenate([f, g + len(a)]), 1)[0].numpy()
@@ -189,7 +197,7 @@ def test_parts_of_a_relative_network_behave_as_each_alone(options):
 
 
 @pytest.mark.parametrize("shape", ["torus", "grid"])
-def test_learned_vectors_turn_with_the_mesh(shape):
+def test_learned_vectors_turn_with_the_mesh(shape, way):
     vertices, faces = getattr(shapes, shape)(7, 6)
     vertices = vertices + 0.1 * np.random.default_rng(0).standard_normal(vertices.shape)
     turn = np.linalg.qr(np.random.default_rng(1).standard_normal((3, 3)))[0]
@@ -199,7 +207,7 @@ def test_learned_vectors_turn_with_the_mesh(shape):
         np.testing.assert_allclose(turned.numpy(), out.numpy() @ turn.T + 3, atol=1e-12)
 
 
-def test_displacements_and_gradients_are_finite_where_faces_have_no_area():
+def test_displacements_and_gradients_are_finite_where_faces_have_no_area(way):
     vertices, faces = shapes.torus(7, 6)
     vertices[:3] = vertices[0]
     network = random_network(**DEFAULT)
@@ -232,7 +240,7 @@ def test_the_loss_of_a_union_is_the_sum_of_its_meshes_losses():
 
 @pytest.mark.parametrize("dtype, suffix, tolerance", [(torch.float32, "f32", 2e-6), (torch.float64, "f64", 1e-12)])
 @pytest.mark.parametrize("name", GOLDEN_FILES)
-def test_outputs_equal_the_reference_at_every_level(golden, name, dtype, suffix, tolerance):
+def test_outputs_equal_the_reference_at_every_level(golden, name, dtype, suffix, tolerance, way):
     data = np.load(golden / f"{name}.npz")
     outputs = run(reference_network(golden, dtype), data["input_V"], data["input_F"])
     for level, out in enumerate(outputs):
@@ -240,7 +248,7 @@ def test_outputs_equal_the_reference_at_every_level(golden, name, dtype, suffix,
 
 
 @pytest.mark.parametrize("name", GOLDEN_FILES)
-def test_rigid_motion_costs_no_more_than_in_the_reference(golden, name):
+def test_rigid_motion_costs_no_more_than_in_the_reference(golden, name, way):
     data = np.load(golden / f"{name}.npz")
     network = reference_network(golden, torch.float32)
     turn, shift = torch.tensor(data["rot_R"]), torch.tensor(data["rot_t"])
@@ -250,7 +258,7 @@ def test_rigid_motion_costs_no_more_than_in_the_reference(golden, name):
     assert error <= data["rot_err_f32"].max()
 
 
-def test_the_validation_loss_equals_the_reference(golden, elephant, tmp_path):
+def test_the_validation_loss_equals_the_reference(golden, elephant, tmp_path, way):
     from neusub.generation import import_pairs, load_pairs
     from neusub.training import validate
 

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import cache
+from typing import NamedTuple
 
 import torch
 from jaxtyping import Bool, Float, Int
@@ -14,10 +15,10 @@ from torch import Tensor
 
 from neusub.configuration import Bound
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
-from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turns
+from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns
 
-__all__ = ["area_normals", "around_edges", "around_vertices", "bounded", "flattened", "moved_back", "settled",
-           "turned_corners", "unturned"]
+__all__ = ["Measures", "area_normals", "around_edges", "around_vertices", "bounded", "flattened", "measured",
+           "moved_back", "settled", "turned_corners", "unturned"]
 
 SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
 
@@ -26,14 +27,36 @@ TURNED = 0.05  # a triangle is turned over where the cosine of its angle to the 
 NOTHING = 1e-6  # a bound below this, of a mesh at the training's scale, is that of a flat patch
 
 
-def heights_of(groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"]) -> Float[Tensor, " m"]:
-    """How far the surface around each vertex is from flat: the largest height of v2 or v3 over the frame's plane."""
-    heights = (edges[1:] * axes[2]).sum(1).abs().amax(0)
-    return torch.segment_reduce(heights, "max", offsets=groups.offsets)
+class Measures(NamedTuple):
+    """Of each vertex's or edge's half-flaps, what bounds and fading depend on."""
+
+    height: Float[Tensor, " m"]  # how far the surface around is from flat: the largest of v2 or v3 over a frame's plane
+    edge: Float[Tensor, " m"]  # square of the shortest edge
+    altitude: Float[Tensor, " m"]  # square of the smallest altitude of their triangles
+    size: Float[Tensor, " m"]  # mean of the half-flaps' sizes
+    turning: Float[Tensor, "7 m"] | None  # `turn_sums`
+
+
+def measured(
+    groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"], turning: bool
+) -> Measures:
+    """From the edges of half-flaps and their frames' axes, as constants; `kernels.measure` does the same."""
+    edges, axes = edges.detach(), axes.detach()
+    squared = squared_lengths(edges)
+    height = (edges[1:] * axes[2]).sum(1).abs().amax(0)
+    longest = torch.maximum(squared[0], torch.maximum(squared[1:3], squared[3:]))
+    doubled = cross(edges[:1], edges[1:]).square().sum(1)  # areas, squared
+    altitude = (doubled / longest.clamp(min=torch.finfo(longest.dtype).tiny)).amin(0)
+
+    def of_groups(values: Tensor, reduction: str) -> Tensor:
+        return torch.segment_reduce(values, reduction, offsets=groups.offsets)
+
+    return Measures(of_groups(height, "max"), of_groups(squared.amin(0), "min"), of_groups(altitude, "min"),
+                    means_of(groups, sizes(squared)), turn_sums(groups, edges, axes) if turning else None)
 
 
 def around_vertices(
-    groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"], sharp: float
+    groups: FlapGroups, measures: Measures, sharp: float
 ) -> Float[Tensor, "nV 1"] | Float[Tensor, "nV 5"]:
     """What displacements depend on: the height of each vertex and, if `sharp`, how much it is not held by what is
     around it, from 1 down to 0 where it lies exactly: on a straight sharp edge between two flat faces, at a corner of
@@ -43,10 +66,10 @@ def around_vertices(
     sine of half the angle, at an edge where the surface should not turn, that halves the hold; twice that angle where
     the sharp edge bends.  Where a sharp edge ends at a boundary, one edge turns instead of two.
     """
-    heights = heights_of(groups, edges, axes)
-    if not sharp:
-        return heights[:, None]
-    mean, second, third, fourth, bend = turns(groups, edges, axes).T
+    if not sharp or measures.turning is None:
+        return measures.height[:, None]
+    count = groups.offsets.diff()
+    mean, second, third, fourth, bend = turns(measures.turning, count)
 
     def free(left: Tensor, turning: Tensor) -> Tensor:
         sure = ((turning - SHARP[0]) / (SHARP[1] - SHARP[0])).clamp(0, 1)
@@ -58,8 +81,8 @@ def around_vertices(
     on_edge, at_corner = free(torch.maximum(third, bend / 2), 2 * second), free(fourth, 3 * third)  # of equal s
     if groups.missing is not None:
         border = torch.segment_reduce(groups.missing.any(0).to(mean.dtype), "max", offsets=groups.offsets) > 0
-        on_edge = torch.where(border, free(second, mean * groups.offsets.diff()), on_edge)
-    return torch.stack([heights, on_edge, at_corner, 1 - held(mean), torch.minimum(on_edge, at_corner)]).T
+        on_edge = torch.where(border, free(second, mean * count), on_edge)
+    return torch.stack([measures.height, on_edge, at_corner, 1 - held(mean), torch.minimum(on_edge, at_corner)]).T
 
 
 def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | Float[Tensor, "nE 2"]:
@@ -79,16 +102,14 @@ def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | 
     return torch.stack([height, factor]).T
 
 
-def flattened(
-    heights: Float[Tensor, " m"], groups: FlapGroups, size: Float[Tensor, " n"], flat: float
-) -> Float[Tensor, " m"]:
-    """A factor of displacements: h / (h + flat), with the height h in mean edges of the group's half-flaps.
+def flattened(heights: Float[Tensor, " m"], size: Float[Tensor, " m"], flat: float) -> Float[Tensor, " m"]:
+    """A factor of displacements: h / (h + flat), with the height h in units of the size.
 
     From level to level the edges of a smooth surface halve, and heights and true displacements go down to a quarter.
     What is wrong in a displacement stays in proportion to the edge, though, and makes the surface rougher, the deeper
     the level; with this factor it goes down too.
     """
-    return heights / (heights + flat * means_of(groups, size))
+    return heights / (heights + flat * size)
 
 
 def means_of(groups: FlapGroups, size: Float[Tensor, " n"]) -> Float[Tensor, " m"]:
@@ -109,9 +130,9 @@ def settled(
     points, shares, columns = [], [], by_columns(before)
     for part in level.by_vertex.chunks():
         edges = edge_vectors(part, columns)
-        size = sizes(squared_lengths(edges))
-        around = around_vertices(part, edges, local_frames(edges)[0], sharp)
-        heights = around[:, 0].contiguous()
+        measures = measured(part, edges, local_frames(edges)[0], sharp > 0)
+        around = around_vertices(part, measures, sharp)
+        heights = measures.height
         valence = part.offsets.diff().to(before.dtype)
         beta = 5 / 8 - (3 / 8 + torch.cos(2 * torch.pi / valence) / 4).square()
         move = pool(part, edges[0].T.contiguous()) * (beta / valence)[:, None]
@@ -120,9 +141,9 @@ def settled(
             curve = pool(part, edges[0].T * along[:, None]) / 2
             boundary = torch.segment_reduce(along.to(before.dtype), "max", offsets=part.offsets) > 0
             move = torch.where(boundary[:, None], curve / 4, move)
-            heights = torch.maximum(heights, curve.square().sum(1) / means_of(part, size))
+            heights = torch.maximum(heights, curve.square().sum(1) / measures.size)
         points.append(move)
-        share = flattened(heights, part, size, settle)
+        share = flattened(heights, measures.size, settle)
         shares.append(1 - (1 - share) * around[:, -1] if sharp else share)
     points = [before + torch.cat(points)]
     for part in level.by_edge.chunks():
@@ -137,25 +158,20 @@ def settled(
 
 
 def bounded(
-    move: Float[Tensor, "m 3"], groups: FlapGroups, squared: Float[Tensor, "5 n"], doubled: Float[Tensor, "2 n"],
-    heights: Float[Tensor, " m"], bound: Bound,
+    move: Float[Tensor, "m 3"], measures: Measures, heights: Float[Tensor, " m"], bound: Bound
 ) -> Float[Tensor, "m 3"]:
     """Displacements shorter than bound[0] times the shortest edge of their half-flaps, bound[1] times the height and,
     where there is one, bound[2] times the smallest altitude of their triangles.
 
-    squared, doubled: of lengths and double areas, as `squared_lengths` and `local_frames` have them.
     Smoothly: with x the length over its bound, it is divided by (1 + x^4)^(1/4), which is nearly 1 below a half.
 
     Weights that never saw a thin triangle or a short edge would displace by more than the edge and fold the surface; on
     a flat patch they leave a ripple.  Networks that are trained within wide bounds lose nothing by tighter ones in use:
     `docs/research.md` has the numbers.
     """
-    shortest = torch.segment_reduce(squared.amin(0), "min", offsets=groups.offsets).sqrt()
-    limit = torch.minimum(bound[0] * shortest, bound[1] * heights)
+    limit = torch.minimum(bound[0] * measures.edge.sqrt(), bound[1] * heights)
     if len(bound) > 2:
-        longest = torch.maximum(squared[0], torch.maximum(squared[1:3], squared[3:]))
-        altitude = (doubled / longest.clamp(min=torch.finfo(move.dtype).tiny)).amin(0)
-        limit = torch.minimum(limit, bound[2] * torch.segment_reduce(altitude, "min", offsets=groups.offsets).sqrt())
+        limit = torch.minimum(limit, bound[2] * measures.altitude.sqrt())
     ratio = move.square().sum(1) / limit.clamp(min=NOTHING).square()
     return move * ((1 + ratio.square()) ** -0.25 * (limit / NOTHING).clamp(max=1))[:, None]
 

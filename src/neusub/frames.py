@@ -7,26 +7,25 @@ faster than (n, 3).
 from __future__ import annotations
 
 import torch
-from jaxtyping import Bool, Float
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
 __all__ = [
     "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes",
-    "squared_lengths", "turns", "vertex_normals", "vertex_turns",
+    "squared_lengths", "turn_sums", "turns", "vertex_normals", "vertex_turns",
 ]
 
 TURNS = 4  # numbers of `vertex_turns`
 
 
-def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"], Tensor]:
-    """The vector's direction, whether it has one (its length exceeds rounding errors of `size`, squared), and its
-    squared length (*b, 1, n)."""
+def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
+    """The vector's direction, and whether it has one: its length exceeds rounding errors of `size`, squared."""
     squared = vector.square().sum(-2, keepdim=True)
     limit = torch.finfo(vector.dtype)
     defined = squared > (16 * limit.eps) ** 2 * size + limit.tiny
-    return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined, squared
+    return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined
 
 
 def cross(a: Float[Tensor, "*b 3 n"], b: Float[Tensor, "*b 3 n"]) -> Float[Tensor, "*b 3 n"]:
@@ -46,22 +45,20 @@ def edge_vectors(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[
     return torch.cat([edges[:1], torch.where(groups.missing[:, None], reflected, edges[1:])])
 
 
-def local_frames(
-    edges: Float[Tensor, "3 3 n"]
-) -> tuple[Float[Tensor, "3 3 n"], Bool[Tensor, " n"], Float[Tensor, "2 n"]]:
-    """Axes x, y, z of each half-flap's frame, whether it has one, and the squares of its triangles' double areas.
+def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"], Bool[Tensor, " n"]]:
+    """Axes x, y, z of each half-flap's frame, and whether it has one.
 
     Where the two normals cancel, z is the left face's, and the right one's where the left face has none.
     """
     e1, e2, e3 = edges.unbind()
     lengths = edges.detach().square().sum(1, keepdim=True)
-    x, has_edge, _ = unit(e1, 0.0)
+    x, has_edge = unit(e1, 0.0)
     normals = cross(torch.stack([e1, e3]), torch.stack([e2, e1]))
-    normals, has_normal, doubled = unit(normals, lengths[:1] * lengths[1:])
-    z, has_both, _ = unit(normals.sum(0), 1.0)
+    normals, has_normal = unit(normals, lengths[:1] * lengths[1:])
+    z, has_both = unit(normals.sum(0), 1.0)
     if not has_both.all():
         z = torch.where(has_both, z, torch.where(has_normal[0], normals[0], normals[1]))
-    return torch.stack([x, cross(z, x), z]), (has_edge & has_normal.any(0))[0], doubled[:, 0]
+    return torch.stack([x, cross(z, x), z]), (has_edge & has_normal.any(0))[0]
 
 
 def squared_lengths(edges: Float[Tensor, "3 3 n"]) -> Float[Tensor, "5 n"]:
@@ -111,38 +108,45 @@ def vertex_normals(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Floa
     """The direction of the sum of z over a vertex's half-flaps; zero where they cancel."""
     parts, positions = [], by_columns(positions)
     for part in groups.chunks():
-        axes, defined, _ = local_frames(edge_vectors(part, positions))
+        axes, defined = local_frames(edge_vectors(part, positions))
         total = pool(part, torch.where(defined, axes[2], 0).T.contiguous())
         parts.append(unit(total.T, 1.0)[0].T)
     return torch.cat(parts)
 
 
-def turns(
+def turn_sums(
     groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"]
-) -> Float[Tensor, "nV 5"]:
-    """At how many of a vertex's edges the surface turns, and how far; of its half-flaps' edges and frames.
+) -> Float[Tensor, "7 m"]:
+    """Sums over each group's half-flaps of s, of its square, cube and fourth power, and of s x: s is the sine of half
+    the angle between the normals of an edge's two faces, x the edge's direction.
 
-    With s the sine of half the angle between the normals of an edge's two faces, and e1 .. e4 the elementary symmetric
-    polynomials of a vertex's s: their mean, e2 / e1, e3 / e2 and e4 / e3.  Each ratio is about the sum of all s but the
-    one, two, three largest, where these are much larger.  So the third number is zero on a sharp edge between flat
-    faces, where the surface turns at two edges, and the fourth at a corner of three such faces.
-    The fifth is the length of the sum of s x over that of s: zero where the edges that turn lead on straight, the sine
-    of half the bend of two that do not.
     An edge with a face without area does not turn, nor does one that is folded shut.
     """
     sideways, up = (edges[1:] * axes[1]).sum(1).square(), (edges[1:] * axes[2]).sum(1).square()
-    least = torch.finfo(up.dtype).tiny
-    squared = (up / (sideways + up).clamp(min=least)).amin(0)  # both the same, but where a face has no area
+    squared = (up / (sideways + up).clamp(min=torch.finfo(up.dtype).tiny)).amin(0)  # alike where both faces have areas
     s = squared.sqrt()
-    columns = [s, squared, squared * s, squared.square(), *(s * axes[0])]
-    p1, p2, p3, p4, *along = pool(groups, torch.stack(columns, dim=1)).T
+    return pool(groups, torch.stack([s, squared, squared * s, squared.square(), *(s * axes[0])], dim=1)).T
+
+
+def turns(sums: Float[Tensor, "7 m"], count: Int[Tensor, " m"]) -> Float[Tensor, "5 m"]:
+    """At how many of a vertex's edges the surface turns, and how far; from their `turn_sums` and number.
+
+    With e1 .. e4 the elementary symmetric polynomials of a vertex's s: their mean, e2 / e1, e3 / e2 and e4 / e3.  Each
+    ratio is about the sum of all s but the one, two, three largest, where these are much larger.  So the third number
+    is zero on a sharp edge between flat faces, where the surface turns at two edges, and the fourth at a corner of
+    three such faces.
+    The fifth is the length of the sum of s x over that of s: zero where the edges that turn lead on straight, the sine
+    of half the bend of two that do not.
+    """
+    p1, p2, p3, p4 = sums[:4]
+    least = torch.finfo(p1.dtype).tiny
     e2 = (p1 * p1 - p2) / 2  # from the sums of powers, by Newton's identities
     e3 = (e2 * p1 - p1 * p2 + p3) / 3
     e4 = (e3 * p1 - e2 * p2 + p1 * p3 - p4) / 4
     rounding = 1e-4 * p1  # a polynomial that is small beside this power of the sum may be nothing else
     ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
-    bend = torch.stack(along).square().sum(0).sqrt() / (p1 + least)
-    return torch.stack([p1 / groups.offsets.diff(), *(ratio.clamp(min=0) for ratio in ratios), bend]).T
+    bend = sums[4:].square().sum(0).sqrt() / (p1 + least)
+    return torch.stack([p1 / count, *(ratio.clamp(min=0) for ratio in ratios), bend])
 
 
 def vertex_turns(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "nV 4"]:
@@ -150,5 +154,6 @@ def vertex_turns(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[
     parts, positions = [], by_columns(positions)
     for part in groups.chunks():
         edges = edge_vectors(part, positions)
-        parts.append(turns(part, edges, local_frames(edges)[0])[:, :TURNS])
+        sums = turn_sums(part, edges, local_frames(edges)[0])
+        parts.append(turns(sums, part.offsets.diff())[:TURNS].T)
     return torch.cat(parts)

@@ -20,9 +20,20 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import linear, relu, silu
+from torch.nn.functional import linear, pad, relu, silu
 
-from neusub.bounds import area_normals, around_edges, around_vertices, bounded, flattened, settled, unturned
+from neusub import compiled
+from neusub.bounds import (
+    area_normals,
+    around_edges,
+    around_vertices,
+    bounded,
+    flattened,
+    measured,
+    settled,
+    unturned,
+)
+from neusub.compiled import Layers, Measuring, Said
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, pool, sum_slots
 from neusub.frames import (
@@ -67,7 +78,6 @@ class HalfFlapMLP(nn.Module):
         self.first = nn.Linear(9 + 4 * (features + 3 * vectors), plan.width)
         self.hidden = nn.Linear(plan.width, plan.width)
         self.last = nn.Linear(plan.width, 3 + 3 * plan.vectors + plan.features)
-        self.activate = {"relu": relu, "silu": silu}[plan.activation]
         for layer in (self.first, self.hidden, self.last):
             nn.init.xavier_normal_(layer.weight)
             nn.init.zeros_(layer.bias)
@@ -78,61 +88,78 @@ class HalfFlapMLP(nn.Module):
     ) -> tuple[Float[Tensor, "m 3"], Values, Float[Tensor, "m k"] | None]:
         """Mean displacement of each group, in the axes of `positions`, its mean features and vectors (`learns`), and,
         where displacements depend on it, what is `around` it (`bounds.py`): its vertex, or the two ends of its edge."""
-        corner = self.features + 3 * self.vectors
+        corner, given = self.features + 3 * self.vectors, 3 + 3 * self.plan.vectors if learns else 3
         columns = self.first.weight.split([corner, 3] * 3 + [corner], dim=1)
-        turned = torch.cat(columns[1::2], dim=1), torch.cat([c[:, self.features :] for c in columns[::2]], dim=1)
+        layers = Layers(torch.cat([*columns[1::2], *(c[:, self.features :] for c in columns[::2])], dim=1),
+                        self.first.bias, self.hidden.weight, self.hidden.bias, self.last.weight[:given],
+                        self.last.bias[:given])
         table, vectors = values
         if table is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
             fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
-            table = linear(table, fixed)
-            table[:, : self.plan.width] += self.first.bias
-            table = table.view(-1, self.plan.width)
-        positions = by_columns(positions)
-        vectors, around = (None if rows is None else by_columns(rows) for rows in (vectors, around))
-        parts = groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]
-        results = [self._part(part, positions, table, vectors, around, turned, learns) for part in parts]
+            table = linear(table, fixed, pad(self.first.bias, (0, 3 * self.plan.width))).view(-1, self.plan.width)
+        measures = None if self.bound is None and not self.plan.flat and not self.plan.sharp else \
+            "all" if around is None else "no turning"
+        if compiled.serves(groups, positions):
+            said, parts = compiled.said, [groups]
+        else:
+            said, parts = said_by_tensors, groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]
+            positions, vectors = by_columns(positions), None if vectors is None else by_columns(vectors)
+        around = None if around is None else by_columns(around)
+        results = [self._means(part, said(part, positions, vectors, table, layers, self.plan, learns, measures), around)
+                   for part in parts]
         moves, features, vectors, around = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
                                             for rows in zip(*results))
         return moves, Values(features, vectors), around  # type: ignore[return-value]
 
-    def _part(self, groups, positions, table, vectors, around, turned, learns):
-        edges = edge_vectors(groups, positions)
-        axes, defined, doubled = local_frames(edges)
-        squared = squared_lengths(edges)
-        size = sizes(squared) if self.plan.relative else None
-        seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
-        hidden = self.first.bias.repeat(len(seen), 1) if table is None else sum_slots(groups, table)
-        hidden.addmm_(seen.to(hidden.dtype), turned[0].T.to(hidden.dtype))  # in mixed precision
-        if vectors is not None:
-            seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
-            hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned[1].T.to(hidden.dtype))
-        hidden = self.activate(self.hidden(self.activate(hidden, inplace=spare)), inplace=spare)
-        count = groups.offsets.diff().to(hidden.dtype)[:, None]
-        if not defined.all():  # half-flaps without a frame are left out of the mean
-            hidden = hidden * defined[:, None]
-            axes = torch.where(defined, axes, 0)
-            count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
-        given = 3 + 3 * self.plan.vectors if learns else 3
-        local = torch.addmm(self.last.bias[:given, None], self.last.weight[:given], hidden.T).unflatten(0, (-1, 3))
-        if size is not None:
-            local[0].mul_(size)
-        mean = pool(groups, in_frames(local, axes.transpose(0, 1)).T.contiguous()) / count
-        move, learned = mean[:, :3], mean[:, 3:] if given > 3 else None
+    def _means(self, groups: FlapGroups, said: Said, around: Tensor | None):
+        """Of groups, from what their half-flaps said: displacement, features, vectors, and what is around."""
+        move, vectors = (said.vectors / said.count).tensor_split([3], dim=1)
         features = None
-        if learns:  # the last layer is linear: the mean of its features is its value at the mean
-            features = linear(pool(groups, hidden) / count, self.last.weight[given:], self.last.bias[given:])
-        if self.bound is None and not self.plan.flat and not self.plan.sharp:
-            return move, features, learned, None
-        around = (around_vertices(groups, edges.detach(), axes.detach(), self.plan.sharp) if around is None else
-                  around_edges(groups, around))
-        heights = around[:, 0].contiguous()
-        if self.plan.sharp:
-            move = move * around[:, -1:]
-        if self.plan.flat:
-            move = move * flattened(heights, groups, sizes(squared) if size is None else size, self.plan.flat)[:, None]
-        if self.bound is not None:
-            move = bounded(move, groups, squared, doubled.detach(), heights, self.bound)
-        return move, features, learned, around
+        if said.hidden is not None:  # the last layer is linear: the mean of its features is its value at the mean
+            given = said.vectors.shape[1]
+            features = linear(said.hidden / said.count, self.last.weight[given:], self.last.bias[given:])
+        if (measures := said.measures) is not None:
+            around = around_edges(groups, around) if around is not None else \
+                around_vertices(groups, measures, self.plan.sharp)
+            heights = around[:, 0].contiguous()
+            if self.plan.sharp:
+                move = move * around[:, -1:]
+            if self.plan.flat:
+                move = move * flattened(heights, measures.size, self.plan.flat)[:, None]
+            if self.bound is not None:
+                move = bounded(move, measures, heights, self.bound)
+        return move, features, vectors if vectors.shape[1] else None, around
+
+
+def said_by_tensors(
+    groups: FlapGroups, positions: Float[Tensor, "nV 3"], vectors: Float[Tensor, "nV 3*k"] | None,
+    table: Float[Tensor, "4*nV c"] | None, layers: Layers, plan: Architecture, learns: bool, measures: Measuring,
+) -> Said:
+    """The MLP on each half-flap in its frame; on any device.  `compiled.said` does the same on a CPU, faster."""
+    activate = {"relu": relu, "silu": silu}[plan.activation]
+    edges = edge_vectors(groups, positions)
+    axes, defined = local_frames(edges)
+    size = sizes(squared_lengths(edges)) if plan.relative else None
+    seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
+    hidden = layers.first_bias.repeat(len(seen), 1) if table is None else sum_slots(groups, table)
+    turned = layers.first.to(hidden.dtype).T  # in mixed precision
+    hidden.addmm_(seen.to(hidden.dtype), turned[:9])
+    if vectors is not None:
+        seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
+        hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned[9:])
+    hidden = linear(activate(hidden, inplace=spare), layers.hidden, layers.hidden_bias)
+    hidden = activate(hidden, inplace=spare)
+    count = groups.offsets.diff().to(hidden.dtype)[:, None]
+    if not defined.all():  # half-flaps without a frame are left out of the mean
+        hidden = hidden * defined[:, None]
+        axes = torch.where(defined, axes, 0)
+        count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
+    local = torch.addmm(layers.last_bias[:, None], layers.last, hidden.T).unflatten(0, (-1, 3))
+    if size is not None:
+        local[0].mul_(size)
+    spoken = pool(groups, in_frames(local, axes.transpose(0, 1)).T.contiguous())
+    return Said(spoken, pool(groups, hidden) if learns else None, count,
+                None if measures is None else measured(groups, edges, axes, measures == "all" and plan.sharp > 0))
 
 
 class NeuralSubdivision(nn.Module):

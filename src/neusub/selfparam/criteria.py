@@ -7,8 +7,8 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numba import njit
 
+from neusub.compilation import COMPILED
 from neusub.errors import DecimationError
-from neusub.selfparam.surface import COMPILED
 
 __all__ = ["REASONS", "Criteria", "refusals"]
 

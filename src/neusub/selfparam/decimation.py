@@ -8,6 +8,7 @@ from typing import Any, Literal
 import numpy as np
 from numpy import ndarray
 
+from neusub.compilation import announce
 from neusub.errors import DecimationError
 from neusub.mesh import Mesh
 from neusub.selfparam.appearance import attribute_quadrics, seam_holds
@@ -26,7 +27,7 @@ from neusub.selfparam.placement import (
     vertex_quadrics,
 )
 from neusub.selfparam.queue import make_queue
-from neusub.selfparam.surface import FIXED, FREE, Surface, announce, frame_of, make_ring
+from neusub.selfparam.surface import FIXED, FREE, Surface, frame_of, make_ring
 from neusub.topology import Topology
 
 __all__ = ["decimate"]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from neusub.selfparam.surface import COMPILED
+from neusub.compilation import COMPILED
 
 __all__ = ["squared_distance"]
 

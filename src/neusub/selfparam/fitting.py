@@ -23,6 +23,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
+from neusub.compilation import COMPILED, announce
 from neusub.errors import ParameterizationError
 from neusub.selfparam.criteria import plane_face, quality
 from neusub.selfparam.distances import squared_distance
@@ -30,7 +31,7 @@ from neusub.selfparam.flatten import THINNEST, flatten_ring
 from neusub.selfparam.mapping import CAPACITY, MADE, Charts, go_up, grown, locate, set_corners, trimmed
 from neusub.selfparam.parameterization import SelfParameterization, corner_points
 from neusub.selfparam.placement import scatter, unit_normals
-from neusub.selfparam.surface import COMPILED, after, announce, before, copy_row, frame_of
+from neusub.selfparam.surface import after, before, copy_row, frame_of
 
 __all__ = ["fitted"]
 

@@ -22,7 +22,8 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.selfparam.surface import COMPILED, copy_row
+from neusub.compilation import COMPILED
+from neusub.selfparam.surface import copy_row
 
 __all__ = [
     "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "go_down", "go_up", "grown", "make_charts",

@@ -19,6 +19,7 @@ from jaxtyping import Float64, Int64
 from numba import njit
 from numpy import ndarray
 
+from neusub.compilation import COMPILED
 from neusub.errors import DecimationError
 from neusub.mesh import Mesh
 from neusub.selfparam.criteria import (
@@ -43,7 +44,6 @@ from neusub.selfparam.flatten import THINNEST, flatten_ring
 from neusub.selfparam.mapping import CAPACITY, Step, charts_of
 from neusub.selfparam.parameterization import SelfParameterization
 from neusub.selfparam.priorities import removal_order
-from neusub.selfparam.surface import COMPILED
 from neusub.topology import build_topology
 
 __all__ = ["decimate_maps"]

@@ -22,7 +22,7 @@ from numba import cfunc, njit, types
 from numpy import ndarray
 from scipy.sparse import csc_array
 
-from neusub.selfparam.surface import COMPILED
+from neusub.compilation import COMPILED
 from neusub.topology import Topology
 
 __all__ = ["PLACE", "STRATEGIES", "TIES", "Strategy", "evaluate", "place_edge", "vertex_quadrics"]

@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.selfparam.surface import COMPILED
+from neusub.compilation import COMPILED
 
 __all__ = ["FIRST", "Queue", "cheapest", "draw", "make_queue", "put", "take_out"]
 

@@ -11,27 +11,22 @@ Half-edge h = 3 f + i runs from corner i of face f to the next one (as in `topol
 An end on the boundary leaves one ring edge without a face: `gap`.  Along a boundary edge there is no f1 (and no d);
 the gap is then at `split`, between the boundary neighbours of j and of k.
 
-But for `announce`, `frame_of` and `make_ring` all are compiled kernels on arrays that they trust; `collapse.py` checks.
+But for `frame_of` and `make_ring` all are compiled kernels on arrays that they trust; `collapse.py` checks.
 """
 
 from __future__ import annotations
 
-import logging
-from pathlib import Path
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import numpy as np
 from numba import njit
 from numpy import ndarray
 
+from neusub.compilation import COMPILED
+
 __all__ = [
-    "FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "announce", "collapse_edge", "frame_of", "gather_ring", "make_ring",
+    "FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "collapse_edge", "frame_of", "gather_ring", "make_ring",
 ]  # fmt: skip
-
-# The kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third of the
-# time).  Then no array is assigned to a slice as a whole; `copy_row` does it.  Divisions by zero give inf, as in numpy.
-COMPILED = {"cache": True, "nogil": True, "error_model": "numpy", "_nrt": False}
-
 
 FREE, ON_SEAM, FIXED = range(3)
 
@@ -62,14 +57,6 @@ class Ring(NamedTuple):
 def make_ring(capacity: int) -> Ring:
     return Ring(np.zeros(capacity, np.int32), np.zeros(capacity, np.int32), np.zeros((capacity + 3, 3)),
                 np.zeros((capacity + 3, 2)), np.zeros(capacity))
-
-
-def announce(kernel: Any, what: str) -> None:
-    """Say so where a kernel is about to be compiled, once on a machine, which takes some seconds."""
-    module = kernel.py_func.__module__.rpartition(".")[2]
-    cached = Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")
-    if not kernel.signatures and not any(cached):
-        logging.getLogger("neusub").warning(f"neusub: compiling {what}, once on this machine ...")
 
 
 def frame_of(vertices: ndarray) -> tuple[ndarray, float]:

@@ -1,0 +1,22 @@
+"""Options of all compiled kernels, and a word to the user before one is compiled."""
+
+from __future__ import annotations
+
+import logging
+from pathlib import Path
+from typing import Any
+
+__all__ = ["ALLOCATES", "COMPILED", "announce"]
+
+# Most kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third to a half
+# of the time).  Then no array is assigned to a slice as a whole.  Divisions by zero give inf, as in numpy.
+COMPILED = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy", "_nrt": False}
+ALLOCATES = {**COMPILED, "_nrt": True}
+
+
+def announce(kernel: Any, what: str) -> None:
+    """Say so where a kernel is about to be compiled, once on a machine, which takes some seconds."""
+    module = kernel.py_func.__module__.rpartition(".")[2]
+    cached = Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")
+    if not kernel.signatures and not any(cached):
+        logging.getLogger("neusub").warning(f"neusub: compiling {what}, once on this machine ...")
