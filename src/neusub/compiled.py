@@ -180,7 +180,7 @@ def in_parts(kernel: Callable, fixed: tuple, count: int, half_flaps: int, *resul
     """kernel(*fixed, first, last, *results[, own()]) for runs of 0 .. count - 1, one in each of torch's threads if
     there are half-flaps enough; what each had of its own."""
     parts = min(torch.get_num_threads(), half_flaps // PART + 1)
-    stops = np.linspace(0, count, parts + 1).astype(int).tolist()
+    stops = [count * k // parts for k in range(parts + 1)]
     owned = [own() for _ in range(parts)] if own else []
     calls = [(*fixed, a, b, *results, *owned[k : k + 1]) for k, (a, b) in enumerate(itertools.pairwise(stops))]
     if parts == 1:
