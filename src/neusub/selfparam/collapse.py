@@ -15,6 +15,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
+from neusub.compilation import COMPILED
 from neusub.selfparam.criteria import (
     BOUNDARY,
     LEGAL,
@@ -31,7 +32,6 @@ from neusub.selfparam.mapping import Charts, has_room, record
 from neusub.selfparam.placement import QUADRIC, REMOVAL, evaluate, place_edge, subtract_mean
 from neusub.selfparam.queue import Queue, cheapest, put, take_out
 from neusub.selfparam.surface import (
-    COMPILED,
     FIXED,
     FREE,
     ON_SEAM,
@@ -97,6 +97,16 @@ def run(work, user, min_vertices, min_faces, pause):
         if reason != LEGAL:
             take_out(queue, edge)
     return PAUSED
+
+
+@njit(**COMPILED)
+def first_null_edge(surface):
+    """The first half-edge of no length; the number of half-edges where there is none, as on most meshes, which need
+    not compile `collapse_null_edges` then."""
+    for h in range(len(surface.twins)):
+        if is_null(surface, h):
+            return h
+    return len(surface.twins)
 
 
 @njit(**COMPILED)
@@ -228,7 +238,8 @@ def try_collapse(work, user, h):
     conformal = work.options[2] > 0
     reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal)
     if tiny and conformal and reason in (PLANE_BEFORE, PLANE_AFTER):
-        reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, False)
+        conformal = not conformal
+        reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal)
     if reason != LEGAL:
         return reason
     merge(work, user, h, m, split, gap)
@@ -278,7 +289,7 @@ def merge(work, user, h, m, split, gap):
     work.sizes[1] -= 2 if twin >= 0 else 1
     work.sizes[2] += 1
     for t in range(m):
-        g = np.int64(before(ring.halfedges[(t - 1) % m]) if t == gap else ring.halfedges[t])
+        g = before(np.int64(ring.halfedges[(t - 1) % m])) if t == gap else np.int64(ring.halfedges[t])
         offer(work, user, edge_of(surface, g))
     for t in range(m):
         offer_refused(work, user, np.int64(ring.vertices[t]))

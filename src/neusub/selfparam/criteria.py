@@ -9,6 +9,7 @@ from numba import njit
 
 from neusub.compilation import COMPILED
 from neusub.errors import DecimationError
+from neusub.selfparam.surface import ZERO
 
 __all__ = ["REASONS", "Criteria", "refusals"]
 
@@ -88,7 +89,7 @@ def normal_of(points, a, b, c):
 def sharpest_fold(ring, m, split, gap, has_f1):
     """Least dot product of the unit normals of two neighbouring faces of the ring."""
     points, least = ring.points, 1.0
-    x0, y0, z0, _ = normal_of(points, m, m + 1, 0)
+    x0, y0, z0, _ = normal_of(points, m, m + 1, ZERO)
     x1, y1, z1 = x0, y0, z0
     if has_f1:
         x1, y1, z1, _ = normal_of(points, m + 1, m, split)
@@ -131,7 +132,7 @@ def check_space(ring, m, split, gap, has_f1, criteria):
             turn = min(turn, dot_of_units(x, y, z, nx, ny, nz))
     if turn <= criteria[0] and turn <= sharpest_fold(ring, m, split, gap, has_f1):
         return NORMAL
-    x, y, z, squared = normal_of(points, m, m + 1, 0)
+    x, y, z, squared = normal_of(points, m, m + 1, ZERO)
     worst_before = min(worst_before, quality(squared, np.sqrt(x * x + y * y + z * z)))
     if has_f1:
         x, y, z, squared = normal_of(points, m + 1, m, split)
@@ -200,7 +201,7 @@ def check_plane(ring, m, split, gap, has_f1, merged, tiny, criteria):
             around_k += crosses_upward(uv, m + 1, t, s)
         around_i += comes_back(uv, m + 2, (gap + 1) % m, t, s)
     if not merged:
-        area, squared = plane_face(uv, m, m + 1, 0)
+        area, squared = plane_face(uv, m, m + 1, ZERO)
         worst_before = min(worst_before, quality(squared, area))
         if tests_flips and not area > SLIVER * squared:
             return PLANE_BEFORE
@@ -209,8 +210,8 @@ def check_plane(ring, m, split, gap, has_f1, merged, tiny, criteria):
             worst_before = min(worst_before, quality(squared, area))
             if tests_flips and not area > SLIVER * squared:
                 return PLANE_BEFORE
-            around_j += crosses_upward(uv, m, m + 1, 0) + crosses_upward(uv, m, split, m + 1)
-            around_k += crosses_upward(uv, m + 1, m, split) + crosses_upward(uv, m + 1, 0, m)
+            around_j += crosses_upward(uv, m, m + 1, ZERO) + crosses_upward(uv, m, split, m + 1)
+            around_k += crosses_upward(uv, m + 1, m, split) + crosses_upward(uv, m + 1, ZERO, m)
         elif tests_flips and not uv[m, 0] < uv[m + 1, 0]:  # j before k along a boundary
             return PLANE_BEFORE
         if tests_flips and not (goes_round(around_j, 0 <= gap < split or not has_f1)

@@ -12,7 +12,7 @@ from neusub.compilation import announce
 from neusub.errors import DecimationError
 from neusub.mesh import Mesh
 from neusub.selfparam.appearance import attribute_quadrics, seam_holds
-from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_edges, offer_all, run
+from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_edges, first_null_edge, offer_all, run
 from neusub.selfparam.criteria import REASONS, Criteria
 from neusub.selfparam.flatten import make_solver
 from neusub.selfparam.locality import LARGE, Order, file_order, local_order, reordered
@@ -158,7 +158,7 @@ def expected_collapses(mesh: Mesh, targets: tuple[int, int]) -> int:
 def collapse_all(work: Work, user: Any, targets: tuple[int, int], on_progress: Any) -> tuple[Work, int]:
     """Run the kernels to the end, with more room for the charts whenever they ask for it."""
     n_faces = len(work.surface.faces)
-    at = 0
+    at = first_null_edge(work.surface)
     while at < len(work.surface.twins):
         at = collapse_null_edges(work, user, at, *targets)
         if at < len(work.surface.twins):

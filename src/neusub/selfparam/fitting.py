@@ -31,7 +31,7 @@ from neusub.selfparam.flatten import THINNEST, flatten_ring
 from neusub.selfparam.mapping import CAPACITY, MADE, Charts, go_up, grown, locate, set_corners, trimmed
 from neusub.selfparam.parameterization import SelfParameterization, corner_points
 from neusub.selfparam.placement import scatter, unit_normals
-from neusub.selfparam.surface import after, before, copy_row, frame_of
+from neusub.selfparam.surface import ONE, ZERO, after, before, copy_row, frame_of
 
 __all__ = ["fitted"]
 
@@ -198,7 +198,7 @@ def fit_vertex(fit, v, d, count, worst, error):
         x = STEP * closest * ((direction == 0) - (direction == 2))
         y = STEP * closest * ((direction == 1) - (direction == 3))
         uv[d + 1, 0], uv[d + 1, 1] = x, y
-        if worst_of(fit, 1, d) > min(MIN_QUALITY, worst):
+        if worst_of(fit, ONE, d) > min(MIN_QUALITY, worst):
             there = error_at(fit, d, count, x, y)
             if there < least:
                 least, best_x, best_y = there, x, y
@@ -218,7 +218,7 @@ def open_ring(fit, v):
         return 0, 0, 0.0
     d = gather(fit, v)
     flatten_ring(fit.points[: d + 1], False, fit.uv)
-    worst = worst_of(fit, 0, d)
+    worst = worst_of(fit, ZERO, d)
     if not worst > THINNEST:
         return 0, 0, 0.0
     count = gather_samples(fit, d)
@@ -241,7 +241,7 @@ def gather(fit, v):
     h, d = start, 0
     while True:
         fit.halfedges[d] = h
-        copy_row(fit.points, d, fit.images, fit.faces[h // 3, after(h) % 3])
+        copy_row(fit.points, d, fit.images, np.int64(fit.faces[h // 3, after(h) % 3]))
         d += 1
         h = np.int64(fit.twins[before(h)])
         if h == start:
@@ -289,9 +289,9 @@ def fill(fit, d, t, a, b, x, y):
     u, v, s = a / side, b / side, (t + 1) % d
     px = (1 - u - v) * x + u * uv[t, 0] + v * uv[s, 0]
     py = (1 - u - v) * y + u * uv[t, 1] + v * uv[s, 1]
-    row = locate(uv, 0, fit.fans[0], 0, d, t, px, py, point[0])
+    row = locate(uv, ZERO, fit.fans[0], ZERO, d, t, px, py, point[0])
     fit.version[0] = fit.versions[fit.halfedges[row] // 3]
-    go_up(fit.charts, fit.version, point, 0, 1)
+    go_up(fit.charts, fit.version, point, ZERO, ONE)
     face = fit.fine_faces[fit.version[0]]
     for axis in range(3):
         fit.patch[t, a, b, axis] = (
@@ -313,7 +313,7 @@ def error_at(fit, d, count, x, y):
     """Sum over the samples of their area times their squared distance to the refinement, the vertex being at (x, y)."""
     side, uv = fit.patch.shape[1] - 1, fit.uv
     uv[d + 1, 0], uv[d + 1, 1] = x, y
-    fill(fit, d, 0, 0, 0, x, y)
+    fill(fit, d, ZERO, ZERO, ZERO, x, y)
     for t in range(d):
         for a in range(side):
             for b in range(side - a):
@@ -325,9 +325,9 @@ def error_at(fit, d, count, x, y):
                 source = fit.patch[0, 0, 0, axis] if b == 0 else fit.patch[(t + 1) % d, b, 0, axis]
                 fit.patch[t, 0, b, axis] = source
     total = 0.0
-    row = 0
+    row = ZERO
     for n in range(count):
-        row = locate(uv, 0, fit.fans[1], 0, d, row, fit.places[n, 0], fit.places[n, 1], fit.point[0])
+        row = locate(uv, ZERO, fit.fans[1], ZERO, d, row, fit.places[n, 0], fit.places[n, 1], fit.point[0])
         corner, k = fit.halfedges[row] % 3, fit.members[n]
         a, b = fit.point[0, (corner + 1) % 3] * side, fit.point[0, (corner + 2) % 3] * side
         total += fit.weights[k] * distance(fit, k, row, a, b)
@@ -357,7 +357,7 @@ def distance(fit, k, t, a, b):
 def slide(fit, v, d, count, x, y):
     """Keep the chart of a slide to (x, y), and take versions, image and samples along."""
     charts, uv = fit.charts, fit.uv
-    fill(fit, d, 0, 0, 0, x, y)
+    fill(fit, d, ZERO, ZERO, ZERO, x, y)
     for axis in range(3):
         fit.images[v, axis] = fit.patch[0, 0, 0, axis]
     uv[d + 1, 0], uv[d + 1, 1] = x, y
@@ -378,10 +378,10 @@ def slide(fit, v, d, count, x, y):
     charts.starts[c + 1, 0], charts.starts[c + 1, 1] = first_uv + d + 2, row + d
     charts.starts[c + 1, MADE] = charts.used[1] = version + d
     charts.used[0] = c + 1
-    row = 0
+    row = ZERO
     for n in range(count):
         k = fit.members[n]
-        row = locate(uv, 0, fit.fans[1], 0, d, row, fit.places[n, 0], fit.places[n, 1], fit.point[0])
+        row = locate(uv, ZERO, fit.fans[1], ZERO, d, row, fit.places[n, 0], fit.places[n, 1], fit.point[0])
         face = fit.halfedges[row] // 3
-        copy_row(fit.barycentric, k, fit.point, 0)
+        copy_row(fit.barycentric, k, fit.point, ZERO)
         fit.at[k], fit.following[k], fit.first[face] = face, fit.first[face], k

@@ -23,7 +23,7 @@ from numba import njit
 from numpy import ndarray
 
 from neusub.compilation import COMPILED
-from neusub.selfparam.surface import copy_row
+from neusub.selfparam.surface import ZERO, copy_row
 
 __all__ = ["THINNEST", "Solver", "flatten_after", "flatten_before", "flatten_ring", "make_solver"]
 
@@ -96,7 +96,7 @@ def assemble(energy, points, m, split, gap, has_f1, merged, kept):
             if not merged:
                 add_triangle(energy, points, m + 2, t, s, i, t, s)
     if not merged:
-        add_triangle(energy, points, j, k, 0, j, k, 0)
+        add_triangle(energy, points, j, k, ZERO, j, k, ZERO)
         if has_f1:
             add_triangle(energy, points, k, j, split, k, j, split)
     return n
@@ -211,7 +211,7 @@ def flatten_along_boundary(solver, points, uv, m, split, gap, has_f1, merged, ke
     energy, real, right, free = solver.energy, solver.real, solver.right, solver.free
     a, b = gap, (gap + 1) % m
     first, last = m if kept == m else a, m + 1 if kept == m + 1 else b  # the ends of what is straightened
-    count = 0
+    count = ZERO
     for v in range(n):
         if v != first and v != last:
             free[count] = v

@@ -23,7 +23,7 @@ from numba import njit
 from numpy import ndarray
 
 from neusub.compilation import COMPILED
-from neusub.selfparam.surface import copy_row
+from neusub.selfparam.surface import ZERO, copy_row
 
 __all__ = [
     "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "go_down", "go_up", "grown", "make_charts",
@@ -143,7 +143,7 @@ def record(charts, surface, ring, h, m, split, gap):
     made = version - charts.starts[0, MADE]
     for v in range(m + 3):
         copy_row(charts.uv, uv + v, ring.uv, v)
-    n = 0
+    n = ZERO
     for t in range(m):
         if t == gap:
             continue
@@ -153,7 +153,7 @@ def record(charts, surface, ring, h, m, split, gap):
         charts.made_by[version + n] = c
         surface.versions[g // 3] = version + n
         n += 1
-    consume(charts, surface, c, row + n, h, m, m + 1, 0, 0)
+    consume(charts, surface, c, row + n, h, m, m + 1, ZERO, ZERO)
     end, twin = row + n + 1, np.int64(surface.twins[h])
     if twin >= 0:
         consume(charts, surface, c, end, twin, m + 1, m, split, split - 1 if 0 <= gap < split else split % n)

@@ -25,10 +25,13 @@ from numpy import ndarray
 from neusub.compilation import COMPILED
 
 __all__ = [
-    "FIXED", "FREE", "ON_SEAM", "Ring", "Surface", "collapse_edge", "frame_of", "gather_ring", "make_ring",
+    "FIXED", "FREE", "ONE", "ON_SEAM", "ZERO", "Ring", "Surface", "collapse_edge", "frame_of", "gather_ring",
+    "make_ring",
 ]  # fmt: skip
 
 FREE, ON_SEAM, FIXED = range(3)
+
+ZERO, ONE = np.int64(0), np.int64(1)  # for kernels, which are compiled once more for each plain number in a call
 
 
 class Surface(NamedTuple):
