@@ -14,13 +14,13 @@ from hypothesis import strategies as st
 
 import shapes
 from decimatable import CLOSED, OPEN, SHAPES, decimated, mesh_of, meshes
+from neusub.compilation import announce
 from neusub.errors import DecimationError
 from neusub.mesh import Mesh
 from neusub.selfparam import STRATEGIES, Criteria, SelfParameterization, decimate
 from neusub.selfparam import decimation as door
 from neusub.selfparam.collapse import DONE, FULL, STUCK, Work, collapse_null_edges, offer_all, run
 from neusub.selfparam.queue import FIRST
-from neusub.selfparam.surface import announce
 from neusub.topology import connected_components
 
 

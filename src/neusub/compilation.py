@@ -6,12 +6,14 @@ import logging
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ALLOCATES", "COMPILED", "announce"]
+__all__ = ["ALLOCATES", "COMPILED", "INNER", "announce"]
 
 # Most kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third to a half
 # of the time).  Then no array is assigned to a slice as a whole.  Divisions by zero give inf, as in numpy.
 COMPILED = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model": "numpy", "_nrt": False}
 ALLOCATES = {**COMPILED, "_nrt": True}
+# For kernels that only kernels call, which saves a third of the compilation.  Called from Python they crash.
+INNER = {**COMPILED, "no_cpython_wrapper": True}
 
 
 def announce(kernel: Any, what: str) -> None:

@@ -22,6 +22,8 @@ __all__ = ["MEASURES", "backwards", "forwards", "sum_corners"]
 
 COMPILED = {**compilation.COMPILED, "fastmath": {"contract"}}
 ALLOCATES = {**compilation.ALLOCATES, "fastmath": {"contract"}}
+INNER = {**compilation.INNER, "fastmath": {"contract"}}
+INNER_ALLOCATES = {**INNER, "_nrt": True}
 
 MEASURES = 11  # numbers of each group that `measure` takes
 
@@ -29,49 +31,49 @@ MEASURES = 11  # numbers of each group that `measure` takes
 # --- vectors -----------------------------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def dot(a, b):
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def cross(a, b):
     return a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def plus(a, b):
     return a[0] + b[0], a[1] + b[1], a[2] + b[2]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def minus(a, b):
     return a[0] - b[0], a[1] - b[1], a[2] - b[2]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def times(s, a):
     return s * a[0], s * a[1], s * a[2]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def dots(a, x, y, z):
     return dot(a, x), dot(a, y), dot(a, z)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def combined(a, x, y, z):
     """The sum of x, y, z by the numbers of a."""
     return (a[0] * x[0] + a[1] * y[0] + a[2] * z[0], a[0] * x[1] + a[1] * y[1] + a[2] * z[1],
             a[0] * x[2] + a[1] * y[2] + a[2] * z[2])
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def get(values, i, column):
     return values[i, column], values[i, column + 1], values[i, column + 2]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def put(values, i, column, a):
     values[i, column], values[i, column + 1], values[i, column + 2] = a
 
@@ -79,7 +81,7 @@ def put(values, i, column, a):
 # --- geometry ----------------------------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def edges_of(shape, h):
     """v1 - v0, v2 - v0, v3 - v0; a missing vertex is the other one's reflection through the edge's midpoint."""
     positions, corners, missing = shape.positions, shape.corners, shape.missing
@@ -95,14 +97,14 @@ def edges_of(shape, h):
     return e1, e2, e3
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def inverse_length(a, limit, constants):
     """One over the length; 0 for a vector whose squared length is not above the limit."""
     squared = dot(a, a)
     return constants.one / np.sqrt(squared) if squared > limit else constants.one - constants.one
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def frame_of(e1, e2, e3, constants):
     """The axes x and z, the two unit normals, and one over the lengths of what all four are the directions of."""
     rounding, tiny = constants.rounding, constants.tiny
@@ -118,7 +120,7 @@ def frame_of(e1, e2, e3, constants):
     return times(to_x, e1), z, left, right, to_x, to_left, to_right, to_z
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def look(shape, start, rows, constants, seen, axes, sizes, defined):
     """The frames of half-flaps start .. start + rows - 1, their edges (in units of their size) and their corners'
     vectors there, and their sizes.
@@ -153,13 +155,13 @@ def look(shape, start, rows, constants, seen, axes, sizes, defined):
                 put(seen, r, 9 + corner * k + j, dots(w, x, y, z))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def through_unit(gradient, direction, to_unit):
     """The gradient of a vector from that of its direction."""
     return times(to_unit, minus(gradient, times(dot(direction, gradient), direction)))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def look_back(shape, start, rows, constants, axes, sizes, defined, of_seen, of_axes, of_corners):
     """From the gradients of what `look` gives, those of the corners' positions and vectors, a row a half-flap."""
     k = shape.vectors.shape[1]
@@ -209,7 +211,7 @@ def look_back(shape, start, rows, constants, axes, sizes, defined, of_seen, of_a
 # --- layers ------------------------------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def sigmoids(values, constants, rest, scales, results):
     """1 / (1 + 2^-(x log2 e)): the power's integer part as bits of an exponent, the rest by its series."""
     one, magic, largest, powers = constants.one, constants.magic, constants.largest, constants.powers
@@ -230,7 +232,7 @@ def sigmoids(values, constants, rest, scales, results):
         results[i] = one / (one + results[i] * scales[i])
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def activate(values, constants, gates, scratch, results):
     """relu or silu of flat arrays, and what of each value passes: 0 or 1, or its sigmoid."""
     if constants.is_silu:
@@ -242,7 +244,7 @@ def activate(values, constants, gates, scratch, results):
         results[i] = values[i] * gates[i]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def activate_back(gradients, values, gates, constants):
     """In place: from the gradients of the results, those of the values."""
     if constants.is_silu:
@@ -253,28 +255,28 @@ def activate_back(gradients, values, gates, constants):
             gradients[i] *= gates[i]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def fill(values, rows, row):
     for r in range(rows):
         for j in range(values.shape[1]):
             values[r, j] = row[j]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def add(values, rows, results):
     for r in range(rows):
         for j in range(results.shape[1]):
             results[r, j] += values[r, j]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def add_row(row, rows, results):
     for r in range(rows):
         for j in range(results.shape[1]):
             results[r, j] += row[j]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def leave_out(defined, rows, values):
     """Zeros in the rows of half-flaps without a frame."""
     for r in range(rows):
@@ -283,7 +285,7 @@ def leave_out(defined, rows, values):
                 values[r, j] = 0
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def begin(shape, start, rows, bias, results):
     """The first layer's part that comes from the features of the corners, or from nothing but its bias."""
     corners, table = shape.corners, shape.table
@@ -297,7 +299,7 @@ def begin(shape, start, rows, bias, results):
             results[r, j] = table[a, j] + table[b, j] + table[c, j] + table[d, j]
 
 
-@njit(**ALLOCATES)
+@njit(**INNER_ALLOCATES)
 def add_product(a, b, rows, scratch, results):
     """To each of the first rows, a's times b."""
     np.dot(a[:rows], b, scratch[:rows])
@@ -321,7 +323,7 @@ class Block(NamedTuple):
     scratch: ndarray
 
 
-@njit(**ALLOCATES)
+@njit(**INNER_ALLOCATES)
 def new_block(capacity, layers):
     first, last = layers.first, layers.last
     width, dtype = first.shape[0], first.dtype
@@ -333,7 +335,7 @@ def new_block(capacity, layers):
                  np.empty((capacity, width), dtype))
 
 
-@njit(**ALLOCATES)
+@njit(**INNER_ALLOCATES)
 def through_layers(shape, layers, transposed, constants, start, rows, block):
     """A block's half-flaps start .. start + rows - 1 from what they see to what they say."""
     size = rows * layers.first.shape[0]
@@ -351,7 +353,7 @@ def through_layers(shape, layers, transposed, constants, start, rows, block):
     add_row(layers.last_bias, rows, block.local)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def groups_from(offsets, i, last, capacity):
     """The end of the run of groups from i on that have at most that many half-flaps; at least one group."""
     end = i + 1
@@ -379,7 +381,7 @@ def forwards(shape, layers, transposed, constants, capacity, first, last, sums, 
         i = end
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def speak(offsets, i, end, constants, block, sums, hidden, counts):
     """Of the groups i .. end - 1, the sums of a block's vectors, out of their frames, and of its hidden layer."""
     axes, local, values = block.axes, block.local, block.after_2
@@ -404,7 +406,7 @@ def speak(offsets, i, end, constants, block, sums, hidden, counts):
         counts[g, 0] = max(counts[g, 0], constants.one)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def speak_back(offsets, i, end, constants, block, of_sums, of_local, of_axes):
     """From the gradients of the groups' sums, those of a block's vectors in their frames, and of the axes."""
     axes, local = block.axes, block.local
@@ -424,7 +426,7 @@ def speak_back(offsets, i, end, constants, block, of_sums, of_local, of_axes):
             put(of_axes, r, 6, gz)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def add_of_groups(offsets, i, end, of_groups, results):
     start = offsets[i]
     for g in range(i, end):
@@ -433,7 +435,7 @@ def add_of_groups(offsets, i, end, of_groups, results):
                 results[r, j] += of_groups[g, j]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def measure(shape, i, end, constants, axes, measures):
     """Of each group its largest height, smallest squares of an edge and of an altitude, mean size, and the sums of
     which `frames.turns` is made: a row of `measures` each."""
@@ -504,7 +506,7 @@ def backwards(shape, layers, transposed, constants, capacity, reads, first, last
         i = end
 
 
-@njit(**ALLOCATES)
+@njit(**INNER_ALLOCATES)
 def add_outer(a, b, rows, products, sums):
     """Over the rows, the products of a's columns with b's, and the sums of a's."""
     product = np.empty_like(products)
@@ -513,7 +515,7 @@ def add_outer(a, b, rows, products, sums):
     add_rows(a, rows, sums)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def add_rows(values, rows, sums):
     for r in range(rows):
         for j in range(len(sums)):

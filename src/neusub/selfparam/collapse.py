@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED
+from neusub.compilation import COMPILED, INNER
 from neusub.selfparam.criteria import (
     BOUNDARY,
     LEGAL,
@@ -136,7 +136,7 @@ def offer_all(work, user):
             work.counts[BOUNDARY] += which_end(surface, h) == -2
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def is_null(surface, h):
     squared = 0.0
     for axis in range(3):
@@ -147,7 +147,7 @@ def is_null(surface, h):
 # --- one edge ----------------------------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def which_end(surface, h):
     """Whose position the merged vertex must take: 0 tail, 1 head, -1 neither; -2 where the edge must stay."""
     hold_j, hold_k = hold_of(surface, h, tail(surface, h)), hold_of(surface, h, head(surface, h))
@@ -156,7 +156,7 @@ def which_end(surface, h):
     return 0 if hold_j > FREE else 1 if hold_k > FREE else -1
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def hold_of(surface, h, v):
     """What holds an end of h against a collapse of h: along a boundary or a seam its vertices are free."""
     if surface.twins[h] >= 0 and on_boundary(surface, v):
@@ -166,7 +166,7 @@ def hold_of(surface, h, v):
     return surface.holds[v]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def place(work, user, h, end):
     """The cost of an edge; fills work.position."""
     surface, quadric, position = work.surface, work.quadric, work.position
@@ -185,7 +185,7 @@ def place(work, user, h, end):
     return cost
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def offer(work, user, edge):
     end = which_end(work.surface, edge)
     if end == -2:
@@ -198,7 +198,7 @@ def offer(work, user, edge):
         take_out(work.queue, edge)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def kept_end(work, h, m, end):
     """Local index of the old vertex at which the merged one lies; -1 where it lies at neither."""
     if end < 0 and work.options[0] == REMOVAL:
@@ -209,7 +209,7 @@ def kept_end(work, h, m, end):
     return m + end if end >= 0 else -1
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def try_collapse(work, user, h):
     """Collapse the edge of h if that is legal; the reason (LEGAL: it was)."""
     surface, ring = work.surface, work.ring
@@ -246,7 +246,7 @@ def try_collapse(work, user, h):
     return LEGAL
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal):
     """Put the ring before and after into the plane; LEGAL, or which test fails there."""
     ring = work.ring
@@ -255,7 +255,7 @@ def flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal):
     return check_plane(ring, m, split, gap, has_f1, merged, tiny, work.criteria)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def copy_points(work, h, m):
     surface, points = work.surface, work.ring.points
     j, k = tail(surface, h), head(surface, h)
@@ -266,7 +266,7 @@ def copy_points(work, h, m):
         points[m + 2, axis] = work.position[axis]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def merge(work, user, h, m, split, gap):
     """Record the chart, merge the edge and give the edges of the merged vertex their new costs."""
     surface, ring, queue = work.surface, work.ring, work.queue
@@ -295,7 +295,7 @@ def merge(work, user, h, m, split, gap):
         offer_refused(work, user, np.int64(ring.vertices[t]))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def offer_refused(work, user, v):
     """Put the edges of a vertex back that were refused: with another ring they may be legal."""
     surface = work.surface

@@ -7,7 +7,7 @@ from dataclasses import astuple, dataclass
 import numpy as np
 from numba import njit
 
-from neusub.compilation import COMPILED
+from neusub.compilation import INNER
 from neusub.errors import DecimationError
 from neusub.selfparam.surface import ZERO
 
@@ -70,12 +70,12 @@ def refusals(counts: dict[str, int]) -> str:
     return ", ".join(f"{reason} {count}" for reason, count in counts.items() if count and reason != "legal") or "none"
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def quality(squared_edges, twice_area):
     return 2 * np.sqrt(3.0) * twice_area / squared_edges if squared_edges > 0 else 0.0
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def normal_of(points, a, b, c):
     """Cross product of two edges, and the sum of the squared three."""
     x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
@@ -85,7 +85,7 @@ def normal_of(points, a, b, c):
     return y1 * z2 - z1 * y2, z1 * x2 - x1 * z2, x1 * y2 - y1 * x2, squared
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def sharpest_fold(ring, m, split, gap, has_f1):
     """Least dot product of the unit normals of two neighbouring faces of the ring."""
     points, least = ring.points, 1.0
@@ -107,14 +107,14 @@ def sharpest_fold(ring, m, split, gap, has_f1):
     return min(least, dot_of_units(px, py, pz, x0, y0, z0))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def dot_of_units(ax, ay, az, bx, by, bz):
     """1 where a vector is null, as at a gap: no fold."""
     squared = (ax * ax + ay * ay + az * az) * (bx * bx + by * by + bz * bz)
     return (ax * bx + ay * by + az * bz) / np.sqrt(squared) if squared > 0.0 else 1.0
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def check_space(ring, m, split, gap, has_f1, criteria):
     """Normals and quality in space; the merged position is points[m + 2]."""
     points = ring.points
@@ -140,7 +140,7 @@ def check_space(ring, m, split, gap, has_f1, criteria):
     return QUALITY_SPACE if worst_after <= min(criteria[1], worst_before) else LEGAL
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def is_tiny(ring, m, mean_area, criteria):
     """Whether no vertex of the ring is far from the merged one, for faces of this mean area."""
     points, farthest = ring.points, 0.0
@@ -152,7 +152,7 @@ def is_tiny(ring, m, mean_area, criteria):
     return farthest < criteria[3] * EQUILATERAL * mean_area
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def plane_face(uv, a, b, c):
     """Twice the signed area, and the sum of the squared edges."""
     x1, y1 = uv[b, 0] - uv[a, 0], uv[b, 1] - uv[a, 1]
@@ -161,13 +161,13 @@ def plane_face(uv, a, b, c):
     return x1 * y2 - y1 * x2, x1 * x1 + y1 * y1 + x2 * x2 + y2 * y2 + x3 * x3 + y3 * y3
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def has_area(points, a, b, c):
     x, y, z, squared = normal_of(points, a, b, c)
     return quality(squared, np.sqrt(x * x + y * y + z * z)) > 1e-12
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def crosses_upward(uv, v, p, q):
     """Whether the edge p -> q crosses the horizontal line through v upward.
 
@@ -177,7 +177,7 @@ def crosses_upward(uv, v, p, q):
     return uv[p, 1] < uv[v, 1] <= uv[q, 1]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def check_plane(ring, m, split, gap, has_f1, merged, tiny, criteria):
     """Areas, angle sums and, where the ring is not tiny, quality in the plane, before and after."""
     uv, points = ring.uv, ring.points
@@ -224,7 +224,7 @@ def check_plane(ring, m, split, gap, has_f1, merged, tiny, criteria):
     return LEGAL if around_i == (0 if gap >= 0 else 1) or not tests_flips else PLANE_AFTER
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def comes_back(uv, v, first, p, q):
     """Whether the edge p -> q crosses the ray from v through `first`, counter-clockwise."""
     x, y = uv[first, 0] - uv[v, 0], uv[first, 1] - uv[v, 1]
@@ -233,7 +233,7 @@ def comes_back(uv, v, first, p, q):
     return left_of_p < 0 <= left_of_q
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def goes_round(times, is_boundary):
     """Whether faces go around their common vertex once; on a boundary, not more than once."""
     return times <= 1 if is_boundary else times == 1

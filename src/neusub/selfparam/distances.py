@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from numba import njit
 
-from neusub.compilation import COMPILED
+from neusub.compilation import COMPILED, INNER
 
 __all__ = ["squared_distance"]
 
@@ -24,13 +24,13 @@ def squared_distance(ux, uy, uz, vx, vy, vz, x, y, z):
     return min(best, squared_at(ux, uy, uz, vx, vy, vz, x, y, z, 1 - b, b))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def portion(dot, squared):
     """Of an edge of this squared length; no further than its ends."""
     return min(max(dot / squared, 0.0), 1.0) if squared > 0.0 else 0.0
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def squared_at(ux, uy, uz, vx, vy, vz, x, y, z, a, b):
     dx, dy, dz = x - a * ux - b * vx, y - a * uy - b * vy, z - a * uz - b * vz
     return dx * dx + dy * dy + dz * dz

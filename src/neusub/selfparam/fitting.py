@@ -23,7 +23,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED, announce
+from neusub.compilation import COMPILED, INNER, announce
 from neusub.errors import ParameterizationError
 from neusub.selfparam.criteria import plane_face, quality
 from neusub.selfparam.distances import squared_distance
@@ -186,7 +186,7 @@ def fit_pass(fit, calm):
     return slid, error / weight if weight > 0.0 else 0.0
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def fit_vertex(fit, v, d, count, worst, error):
     """Whether the vertex slid; d, count, worst: of its open ring, with this error."""
     least = error * (1 - GAIN)
@@ -208,7 +208,7 @@ def fit_vertex(fit, v, d, count, worst, error):
     return True
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def open_ring(fit, v):
     """Bring the ring of a vertex into the plane, and its samples.
 
@@ -226,7 +226,7 @@ def open_ring(fit, v):
     return d, count, worst
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def weight_of(fit, count):
     weight = 0.0
     for n in range(count):
@@ -234,7 +234,7 @@ def weight_of(fit, count):
     return weight
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def gather(fit, v):
     """Fill the ring of a vertex, and the two fans in the plane; its number of neighbours."""
     start = np.int64(fit.starts[v])
@@ -254,7 +254,7 @@ def gather(fit, v):
     return d
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def worst_of(fit, which, d):
     """Least quality in the plane of a fan's faces; not positive where one is turned over."""
     worst = 2.0
@@ -264,7 +264,7 @@ def worst_of(fit, which, d):
     return worst
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def gather_samples(fit, d):
     """Fill members and their places in the plane; how many there are."""
     count = 0
@@ -299,7 +299,7 @@ def fill(fit, d, t, a, b, x, y):
             + point[0, 2] * fit.fine_positions[face[2], axis])
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def fill_outline(fit, d):
     """The points on the outer edges, which stay."""
     side = fit.patch.shape[1] - 1
@@ -308,7 +308,7 @@ def fill_outline(fit, d):
             fill(fit, d, t, a, side - a, 0.0, 0.0)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def error_at(fit, d, count, x, y):
     """Sum over the samples of their area times their squared distance to the refinement, the vertex being at (x, y)."""
     side, uv = fit.patch.shape[1] - 1, fit.uv
@@ -353,7 +353,7 @@ def distance(fit, k, t, a, b):
     return fold + squared_distance(ux, uy, uz, vx, vy, vz, x, y, z)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def slide(fit, v, d, count, x, y):
     """Keep the chart of a slide to (x, y), and take versions, image and samples along."""
     charts, uv = fit.charts, fit.uv

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED
+from neusub.compilation import COMPILED, INNER
 from neusub.selfparam.surface import ZERO, copy_row
 
 __all__ = ["THINNEST", "Solver", "flatten_after", "flatten_before", "flatten_ring", "make_solver"]
@@ -51,7 +51,7 @@ def make_solver(capacity: int) -> Solver:
 # --- the conformal energy ----------------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def add_triangle(energy, points, a, b, c, at_a, at_b, at_c):
     """Add the energy of the triangle with corners points[a, b, c] for the unknowns at_a, at_b, at_c."""
     x1, y1, z1 = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
@@ -73,13 +73,13 @@ def add_triangle(energy, points, a, b, c, at_a, at_b, at_c):
     add_pair(energy, at_c, at_a, weight * wc.conjugate() * wa)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def add_pair(energy, p, q, value):
     energy[p, q] += value
     energy[q, p] += value.conjugate()
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def assemble(energy, points, m, split, gap, has_f1, merged, kept):
     """Energy of the ring before the collapse and after it; the number of unknowns.
 
@@ -105,7 +105,7 @@ def assemble(energy, points, m, split, gap, has_f1, merged, kept):
 # --- before: free boundary ---------------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def project(points, u, n, m):
     """First guess: seen along the mean normal of the ring."""
     nx = ny = nz = 0.0
@@ -130,7 +130,7 @@ def project(points, u, n, m):
         u[v] = complex(ax * x + ay * y + az * z, bx * x + by * y + bz * z)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def factorise(energy, n):
     """Hermitian L D L* in place: D on the diagonal, L below it."""
     largest = 0.0
@@ -152,7 +152,7 @@ def factorise(energy, n):
             energy[q, p] /= pivot
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def solve(energy, u, n):
     for p in range(n):
         for q in range(p):
@@ -164,7 +164,7 @@ def solve(energy, u, n):
         u[p] = value
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def centre(u, n, m):
     """Subtract the mean of the ring's places, and bring their mean square to 1."""
     mean = 0j
@@ -182,7 +182,7 @@ def centre(u, n, m):
             u[v] *= scale
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def flatten_free(solver, points, uv, m, split, gap, has_f1, merged, kept):
     n = assemble(solver.energy, points, m, split, gap, has_f1, merged, kept)
     u = solver.u
@@ -200,7 +200,7 @@ def flatten_free(solver, points, uv, m, split, gap, has_f1, merged, kept):
         copy_row(uv, m + 1, uv, m)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def flatten_along_boundary(solver, points, uv, m, split, gap, has_f1, merged, kept):
     """Ring of a boundary edge j -> k: a = r[gap] at 0, b = r[gap + 1] at 1, j and k on the line between them.
 
@@ -235,7 +235,7 @@ def flatten_along_boundary(solver, points, uv, m, split, gap, has_f1, merged, ke
         uv[free[p] % n, free[p] // n] = right[p]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def solve_real(matrix, right, n):
     """Symmetric positive definite system by L D L^T, in place."""
     largest = 0.0
@@ -258,7 +258,7 @@ def solve_real(matrix, right, n):
         right[p] = value / matrix[p, p]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def flatten_tutte(uv, m, split, has_f1, along_boundary, gap):
     """Uniform weights: the ring on a circle, j and k at the means of their neighbours (`fig:withWithoutConformal`).
 
@@ -286,7 +286,7 @@ def flatten_tutte(uv, m, split, has_f1, along_boundary, gap):
         uv[m + 1, axis] = (sum_k * degree_j + sum_j) / determinant
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def flatten_before(solver, ring, m, split, gap, has_f1, merged, kept, conformal):
     """Places of the ring, j and k in the plane, from their positions in `ring.points`."""
     along_boundary = not has_f1 and not merged
@@ -301,7 +301,7 @@ def flatten_before(solver, ring, m, split, gap, has_f1, merged, kept, conformal)
 # --- after: the boundary of the region held ----------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def cotangents(points, weights, m, gap):
     """Cotangent weights of the edges from the merged vertex to the ring."""
     i = m + 2
@@ -320,7 +320,7 @@ def cotangents(points, weights, m, gap):
         weights[s] += (ax * ax + ay * ay + az * az - dot) / twice_area
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def flatten_after(ring, m, gap, along_boundary, kept, conformal):
     """Place of the merged vertex: at that of `kept` (a local index), or where the conformal energy is least."""
     uv, i = ring.uv, m + 2
@@ -365,7 +365,7 @@ def flatten_ring(points, is_open, uv):
         uv[d - 1, 1] = 0.0  # sin(pi), but for rounding: the boundary stays a line
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def spoke(points, t):
     d = len(points) - 1
     return points[t, 0] - points[d, 0], points[t, 1] - points[d, 1], points[t, 2] - points[d, 2]

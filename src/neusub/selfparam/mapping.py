@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED
+from neusub.compilation import COMPILED, INNER
 from neusub.selfparam.surface import ZERO, copy_row
 
 __all__ = [
@@ -107,14 +107,14 @@ def charts_of(n_faces: int, steps: Sequence[Step]) -> Charts:
 # --- the chart of an edge collapse -------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def has_room(charts, m):
     """Whether the chart of a ring of m vertices fits."""
     uv, before, made = charts.starts[charts.used[0]]
     return uv + m + 3 <= len(charts.uv) and before + m + 2 <= len(charts.before) and made + m <= len(charts.made_by)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def set_corners(faces, row, corner, a, b, c, first):
     """Local vertices of a stored face that has a at `corner`, then b and c; and where to look first."""
     faces[row, corner] = a
@@ -123,7 +123,7 @@ def set_corners(faces, row, corner, a, b, c, first):
     faces[row, 3] = first
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def consume(charts, surface, c, row, h, a, b, c_local, first):
     """Write the face of half-edge h, which runs from a to b, into row `row` of chart c."""
     version = surface.versions[h // 3]
@@ -131,7 +131,7 @@ def consume(charts, surface, c, row, h, a, b, c_local, first):
     set_corners(charts.before, row, h % 3, a, b, c_local, first)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def record(charts, surface, ring, h, m, split, gap):
     """Keep the chart of the collapse of h, which is about to happen, and give its faces their new versions.
 
@@ -165,7 +165,7 @@ def record(charts, surface, ring, h, m, split, gap):
 # --- points through the charts -----------------------------------------------------------------------------------
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def place_in_plane(uv, start, corners, row, point):
     """Place of a point given by barycentric coordinates of a face."""
     a, b, c = start + corners[row, 0], start + corners[row, 1], start + corners[row, 2]
@@ -173,7 +173,7 @@ def place_in_plane(uv, start, corners, row, point):
     return x * uv[a, 0] + y * uv[b, 0] + z * uv[c, 0], x * uv[a, 1] + y * uv[b, 1] + z * uv[c, 1]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def areas(uv, start, corners, row, x, y):
     """Barycentric coordinates of a place, times twice the area; and twice the area."""
     a, b, c = start + corners[row, 0], start + corners[row, 1], start + corners[row, 2]
@@ -182,7 +182,7 @@ def areas(uv, start, corners, row, x, y):
     return wa, wb, wc, wa + wb + wc
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def locate(uv, start, corners, first, end, guess, x, y, point):
     """Find the face at a place, one of the rows first .. end - 1; fill the point's barycentric coordinates; its row."""
     best, best_row = -np.inf, -1

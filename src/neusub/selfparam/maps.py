@@ -19,7 +19,7 @@ from jaxtyping import Float64, Int64
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED
+from neusub.compilation import COMPILED, INNER
 from neusub.errors import DecimationError
 from neusub.mesh import Mesh
 from neusub.selfparam.criteria import (
@@ -301,7 +301,7 @@ def check_removal(points, uv, fan, made, of_fan, of_made, is_open, criteria):
     return QUALITY_PLANE if plane_after <= min(criteria[1], plane_before) else LEGAL
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def bend(points, faces, t, others, u):
     """Dot product of the unit normals of two faces."""
     ax, ay, az, _ = normal_of(points, faces[t, 0], faces[t, 1], faces[t, 2])
@@ -309,7 +309,7 @@ def bend(points, faces, t, others, u):
     return dot_of_units(ax, ay, az, bx, by, bz)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def worst_quality(points, uv, faces):
     """Least quality in space, and in the plane."""
     in_space = in_plane = 2.0

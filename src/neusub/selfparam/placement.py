@@ -22,7 +22,7 @@ from numba import cfunc, njit, types
 from numpy import ndarray
 from scipy.sparse import csc_array
 
-from neusub.compilation import COMPILED
+from neusub.compilation import COMPILED, INNER
 from neusub.topology import Topology
 
 __all__ = ["PLACE", "STRATEGIES", "TIES", "Strategy", "evaluate", "place_edge", "vertex_quadrics"]
@@ -92,7 +92,7 @@ def minimise(quadric, mx, my, mz, position):
     position[2] = mz + (c2 * x + (xy * xz - xx * yz) * y + (xx * yy - xy * xy) * z) / determinant
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def place_edge(code, user, a, b, quadric, position):
     """Cost and position by the strategy of this code."""
     if code == EDGE_LENGTH:
@@ -112,7 +112,7 @@ def place_edge(code, user, a, b, quadric, position):
     return evaluate(quadric, position[0], position[1], position[2])
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def subtract_mean(quadric, gradients, j, k, attribute):
     """Take (m, n)(m, n)^T / W of an edge's two vertices off its quadric, in place (`appearance.py`)."""
     total = gradients[j, attribute, 4] + gradients[k, attribute, 4]

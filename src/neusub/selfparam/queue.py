@@ -12,7 +12,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED
+from neusub.compilation import COMPILED, INNER
 
 __all__ = ["FIRST", "Queue", "cheapest", "draw", "make_queue", "put", "take_out"]
 
@@ -35,23 +35,23 @@ def make_queue(n_halfedges: int, n_edges: int, is_heap: bool) -> Queue:
                  np.array([is_heap]))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def cost_at(queue, place):
     return queue.entries[FIRST + place, 0]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def edge_at(queue, place):
     return np.int64(queue.entries[FIRST + place, 1])
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def set_place(queue, place, edge, cost):
     queue.entries[FIRST + place, 0], queue.entries[FIRST + place, 1] = cost, edge
     queue.places[edge] = place
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def sift_up(queue, place, edge, cost):
     """Write the edge at `place` or above, where its cost belongs."""
     while place > 0:
@@ -63,7 +63,7 @@ def sift_up(queue, place, edge, cost):
     set_place(queue, place, edge, cost)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def sift_down(queue, place, edge, cost):
     """Write the edge at `place` or below."""
     n = queue.size[0]
@@ -81,7 +81,7 @@ def sift_down(queue, place, edge, cost):
     set_place(queue, place, edge, cost)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def move(queue, place, edge, cost):
     """Write the edge where its cost belongs, seen from a place whose old entry is gone."""
     if not queue.is_heap[0]:
@@ -102,7 +102,7 @@ def put(queue, edge, cost):
     move(queue, place, edge, cost)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def take_out(queue, edge):
     """Remove an edge; nothing happens where it is not in the queue."""
     place = np.int64(queue.places[edge])
@@ -115,7 +115,7 @@ def take_out(queue, edge):
         move(queue, place, edge_at(queue, last), cost_at(queue, last))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def draw(state):
     """The next 64 random bits (xorshift64*, Vigna 2016)."""
     x = state[0]
@@ -126,7 +126,7 @@ def draw(state):
     return x * np.uint64(0x2545F4914F6CDD1D)
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def cheapest(queue, choices, state):
     """The cheapest edge of a heap; the cheapest of `choices` random ones of a list."""
     if queue.is_heap[0]:

@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED
+from neusub.compilation import INNER
 
 __all__ = [
     "FIXED", "FREE", "ONE", "ON_SEAM", "ZERO", "Ring", "Surface", "collapse_edge", "frame_of", "gather_ring",
@@ -72,51 +72,51 @@ def frame_of(vertices: ndarray) -> tuple[ndarray, float]:
     return (low + high) / 2, float(np.exp2(np.ceil(np.log2((high - low).max() or 1.0))))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def copy_row(target, row, source, source_row):
     for column in range(target.shape[1]):
         target[row, column] = source[source_row, column]
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def after(h):
     """The next half-edge around the face."""
     return h - 2 if h % 3 == 2 else h + 1
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def before(h):
     return h + 2 if h % 3 == 0 else h - 1
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def tail(surface, h):
     return np.int64(surface.faces[h // 3, h % 3])
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def twin_of(surface, h):
     return np.int64(surface.twins[h])
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def head(surface, h):
     return tail(surface, after(h))
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def edge_of(surface, h):
     """The half-edge that stands for the edge: the lower one of the two."""
     twin = twin_of(surface, h)
     return twin if 0 <= twin < h else h
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def on_boundary(surface, v):
     return surface.twins[surface.starts[v]] < 0
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def gather_ring(surface, h, ring):
     """Fill the ring of h with vertices and half-edges; (m, split, gap), m = 0 where the capacity does not suffice."""
     capacity = len(ring.vertices)
@@ -166,7 +166,7 @@ def gather_ring(surface, h, ring):
     return 0, 0, -1
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def has_repetition(surface, ring, m):
     """Whether a vertex is in the ring twice: then the link condition Lk(j) & Lk(k) = Lk(jk) fails."""
     for t in range(m):
@@ -179,7 +179,7 @@ def has_repetition(surface, ring, m):
     return False
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def join(surface, a, b):
     """Make two half-edges twins; one of them may be absent."""
     if a >= 0:
@@ -188,7 +188,7 @@ def join(surface, a, b):
         surface.twins[b] = a
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def remove_face(surface, h):
     """Take the face of h = j -> k out and close the slit: its other two edges become one."""
     into, out = twin_of(surface, after(h)), twin_of(surface, before(h))  # c -> k and j -> c, beyond the face
@@ -204,7 +204,7 @@ def remove_face(surface, h):
     surface.faces[h // 3, 0] = -1
 
 
-@njit(**COMPILED)
+@njit(**INNER)
 def collapse_edge(surface, h, ring, m, split, gap):
     """Merge k into j: connectivity only.  The ring must be that of h and the collapse legal."""
     j, twin = tail(surface, h), twin_of(surface, h)
