@@ -69,7 +69,7 @@ class Constants(NamedTuple):
     tiny: np.floating  # the smallest normal number
     to_size: np.floating  # from the sum of five lengths; 0 for a network that knows the scale
     is_silu: bool
-    powers: ndarray  # coefficients of the series of 2^x, highest first; an even number
+    powers: tuple  # 14 coefficients of the series of 2^x, highest first; single precision has zeros for the first six
     log2_e: np.floating
     magic: np.floating  # a number that it is added to is rounded to an integer, which its last bits then hold
     largest: np.floating  # power of two
@@ -161,11 +161,11 @@ def constants_of(dtype: torch.dtype, plan: Architecture) -> Constants:
     kind, integer = (np.float32, np.int32) if dtype == torch.float32 else (np.float64, np.int64)
     limit = np.finfo(kind)
     powers = [1.0]
-    for k in range(1, 8 if kind is np.float32 else 14):
-        powers.append(powers[-1] * log(2) / k)
+    for k in range(1, 14):
+        powers.append(powers[-1] * log(2) / k if k < (8 if kind is np.float32 else 14) else 0.0)
     return Constants(
         one=kind(1), rounding=kind((16 * limit.eps) ** 2), tiny=limit.tiny, to_size=kind(plan.relative / 5),
-        is_silu=plan.activation == "silu", powers=np.array(powers[::-1], kind), log2_e=kind(1 / log(2)),
+        is_silu=plan.activation == "silu", powers=tuple(map(kind, powers[::-1])), log2_e=kind(1 / log(2)),
         magic=kind(1.5 * 2.0**limit.nmant), largest=kind(-limit.minexp - 1), ones=np.ones(1, kind).view(integer),
         mantissa=integer(limit.nmant))
 

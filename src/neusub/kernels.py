@@ -212,31 +212,27 @@ def look_back(shape, start, rows, constants, axes, sizes, defined, of_seen, of_a
 
 
 @njit(**INNER)
-def sigmoids(values, constants, rest, scales, results):
+def sigmoids(values, constants, scales, results):
     """1 / (1 + 2^-(x log2 e)): the power's integer part as bits of an exponent, the rest by its series."""
-    one, magic, largest, powers = constants.one, constants.magic, constants.largest, constants.powers
+    one, magic, largest = constants.one, constants.magic, constants.largest
+    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13 = constants.powers
     shifted, bits = results.view(constants.ones.dtype), scales.view(constants.ones.dtype)
     for i in range(len(values)):
-        power = min(max(-values[i] * constants.log2_e, -largest), largest)
-        results[i] = power + magic
-        rest[i] = power - (results[i] - magic)
+        results[i] = min(max(-values[i] * constants.log2_e, -largest), largest) + magic
     for i in range(len(values)):
         bits[i] = (shifted[i] << constants.mantissa) + constants.ones[0]
     for i in range(len(values)):
-        results[i] = powers[0] * rest[i] + powers[1]
-    for k in range(2, len(powers), 2):
-        p, q = powers[k], powers[k + 1]
-        for i in range(len(values)):
-            results[i] = (results[i] * rest[i] + p) * rest[i] + q
-    for i in range(len(values)):
-        results[i] = one / (one + results[i] * scales[i])
+        x = min(max(-values[i] * constants.log2_e, -largest), largest) - (results[i] - magic)
+        p = ((((((c0 * x + c1) * x + c2) * x + c3) * x + c4) * x + c5) * x + c6) * x + c7
+        p = (((((p * x + c8) * x + c9) * x + c10) * x + c11) * x + c12) * x + c13
+        results[i] = one / (one + p * scales[i])
 
 
 @njit(**INNER)
-def activate(values, constants, gates, scratch, results):
+def activate(values, constants, gates, results):
     """relu or silu of flat arrays, and what of each value passes: 0 or 1, or its sigmoid."""
     if constants.is_silu:
-        sigmoids(values, constants, scratch, results, gates)
+        sigmoids(values, constants, results, gates)
     else:
         for i in range(len(values)):
             gates[i] = constants.one if values[i] > 0 else constants.one - constants.one
@@ -253,13 +249,6 @@ def activate_back(gradients, values, gates, constants):
     else:
         for i in range(len(values)):
             gradients[i] *= gates[i]
-
-
-@njit(**INNER)
-def fill(values, rows, row):
-    for r in range(rows):
-        for j in range(values.shape[1]):
-            values[r, j] = row[j]
 
 
 @njit(**INNER)
@@ -286,24 +275,17 @@ def leave_out(defined, rows, values):
 
 
 @njit(**INNER)
-def begin(shape, start, rows, bias, results):
-    """The first layer's part that comes from the features of the corners, or from nothing but its bias."""
+def add_features(shape, start, rows, bias, results):
+    """To the first layer, what comes from the features of the corners, or nothing but its bias."""
     corners, table = shape.corners, shape.table
     if len(table) == 0:
-        fill(results, rows, bias)
+        add_row(bias, rows, results)
         return
     for r in range(rows):
         h = start + r
         a, b, c, d = 4 * corners[h, 0], 4 * corners[h, 1] + 1, 4 * corners[h, 2] + 2, 4 * corners[h, 3] + 3
         for j in range(results.shape[1]):
-            results[r, j] = table[a, j] + table[b, j] + table[c, j] + table[d, j]
-
-
-@njit(**INNER_ALLOCATES)
-def add_product(a, b, rows, scratch, results):
-    """To each of the first rows, a's times b."""
-    np.dot(a[:rows], b, scratch[:rows])
-    add(scratch, rows, results)
+            results[r, j] += table[a, j] + table[b, j] + table[c, j] + table[d, j]
 
 
 class Block(NamedTuple):
@@ -340,14 +322,14 @@ def through_layers(shape, layers, transposed, constants, start, rows, block):
     """A block's half-flaps start .. start + rows - 1 from what they see to what they say."""
     size = rows * layers.first.shape[0]
     look(shape, start, rows, constants, block.seen, block.axes, block.sizes, block.defined)
-    begin(shape, start, rows, layers.first_bias, block.before_1)
-    add_product(block.seen, transposed.first, rows, block.scratch, block.before_1)
+    np.dot(block.seen[:rows], transposed.first, block.before_1[:rows])
+    add_features(shape, start, rows, layers.first_bias, block.before_1)
     activate(block.before_1.reshape(-1)[:size], constants, block.gates_1.reshape(-1)[:size],
-             block.scratch.reshape(-1)[:size], block.after_1.reshape(-1)[:size])
-    fill(block.before_2, rows, layers.hidden_bias)
-    add_product(block.after_1, transposed.hidden, rows, block.scratch, block.before_2)
+             block.after_1.reshape(-1)[:size])
+    np.dot(block.after_1[:rows], transposed.hidden, block.before_2[:rows])
+    add_row(layers.hidden_bias, rows, block.before_2)
     activate(block.before_2.reshape(-1)[:size], constants, block.gates_2.reshape(-1)[:size],
-             block.scratch.reshape(-1)[:size], block.after_2.reshape(-1)[:size])
+             block.after_2.reshape(-1)[:size])
     leave_out(block.defined, rows, block.after_2)
     np.dot(block.after_2[:rows], transposed.last, block.local[:rows])
     add_row(layers.last_bias, rows, block.local)
