@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy import ndarray
 
-from neusub.topology import build_topology, refine_faces
+from neusub.topology import build_topology
 
 Shape = tuple[ndarray, ndarray]
 
@@ -50,7 +50,7 @@ def icosphere(levels: int = 2) -> Shape:
         topology = build_topology(faces, len(vertices))
         vertices = np.concatenate([vertices, vertices[topology.edges].mean(axis=1)])
         vertices /= np.linalg.norm(vertices, axis=1, keepdims=True)
-        faces = refine_faces(topology)
+        faces = topology.refined_faces
     return vertices, faces
 
 
@@ -182,7 +182,7 @@ def refined(shape: Shape, levels: int = 1) -> Shape:
     for _ in range(levels):
         topology = build_topology(faces, len(vertices))
         vertices = np.concatenate([vertices, vertices[topology.edges].mean(axis=1)])
-        faces = refine_faces(topology)
+        faces = topology.refined_faces
     return vertices, faces
 
 

@@ -61,12 +61,11 @@ def write_obj(path, vertices, faces):
 
 
 def test_folders_of_obj_levels_are_imported(pairs, tmp_path):
-    from neusub.topology import refine_faces
 
     for level in range(3):
         (tmp_path / f"in/subd{level}").mkdir(parents=True)
     for k, pair in enumerate(pairs):
-        connectivity = [t.faces for t in pair.topologies] + [refine_faces(pair.topologies[-1])]
+        connectivity = [t.faces for t in pair.topologies] + [pair.topologies[-1].refined_faces]
         for level, size in enumerate(pair.level_sizes):
             write_obj(tmp_path / f"in/subd{level}/{k:03d}.obj", pair.targets[:size], connectivity[level])
     (path,) = import_pairs(tmp_path / "in", tmp_path / "out")

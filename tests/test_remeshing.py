@@ -10,7 +10,6 @@ from neusub.errors import DecimationError
 from neusub.mesh import Mesh
 from neusub.metrics import point_distance
 from neusub.remeshing import remesh
-from neusub.topology import refine_faces
 
 
 def sphere() -> Mesh:
@@ -21,7 +20,7 @@ def test_each_level_is_the_midpoint_refinement_of_the_one_before():
     levels = remesh(sphere(), n_faces=80, levels=3)
     assert len(levels[0].faces) == 80
     for coarse, fine in pairwise(levels):
-        np.testing.assert_array_equal(fine.faces, refine_faces(coarse.topology))
+        np.testing.assert_array_equal(fine.faces, coarse.topology.refined_faces)
         np.testing.assert_allclose(fine.vertices[: len(coarse.vertices)], coarse.vertices, atol=1e-12)
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import shapes
-from neusub.topology import build_topology, connected_components, refine_faces, topology_levels
+from neusub.topology import build_topology, connected_components, topology_levels
 
 CLOSED = {"tetrahedron": shapes.tetrahedron(), "icosahedron": shapes.icosahedron(), "torus": shapes.torus(7, 5),
           "genus 2": shapes.genus(2)}
@@ -26,7 +26,7 @@ def test_edges_are_the_sorted_unique_pairs(name):
 def test_refinement_keeps_eulers_number_and_the_boundary_loops(name):
     vertices, faces = ALL[name]
     topology = build_topology(faces, len(vertices))
-    finer = build_topology(refine_faces(topology), len(vertices) + len(topology.edges))
+    finer = build_topology(topology.refined_faces, len(vertices) + len(topology.edges))
     assert euler(finer.faces, finer.n_vertices) == euler(faces, len(vertices))
     assert finer.is_boundary_edge.sum() == 2 * topology.is_boundary_edge.sum()
 
@@ -55,7 +55,7 @@ def test_half_flaps_have_the_left_face_left_and_the_right_face_right(name):
 def test_a_triangle_refines_into_the_four_documented_blocks():
     faces = np.array([[0, 1, 2]])
     # Edges (0, 1), (0, 2), (1, 2) have the midpoints 3, 4, 5.
-    assert refine_faces(build_topology(faces, 3)).tolist() == [[0, 3, 4], [1, 5, 3], [2, 4, 5], [5, 4, 3]]
+    assert build_topology(faces, 3).refined_faces.tolist() == [[0, 3, 4], [1, 5, 3], [2, 4, 5], [5, 4, 3]]
 
 
 def test_components_are_counted_and_numbered_by_their_first_vertex():

@@ -12,12 +12,11 @@ from functools import cached_property
 
 import numpy as np
 import torch
-from jaxtyping import Bool, Float, Int, Int64
-from numpy import ndarray
+from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
-from neusub.topology import Topology, refine_corners
+from neusub.topology import Topology, counting_order
 
 __all__ = ["FlapGroups", "LevelFlaps", "by_columns", "gather_corners", "level_flaps", "pool", "sum_slots"]
 
@@ -85,30 +84,30 @@ class LevelFlaps:
     by_vertex: FlapGroups
     by_edge: FlapGroups
     edges: Int[Tensor, "nE 2"]
-    faces: Int64[ndarray, "nF 3"]
-    face_edges: Int64[ndarray, "nF 3"]
+    topology: Topology
 
     def refined_faces(self) -> Int[Tensor, "4*nF 3"]:
         """Faces of the next level, on the device."""
-        refined = refine_corners(self.faces, self.face_edges + (len(self.by_vertex.offsets) - 1))
-        return torch.as_tensor(refined, device=self.edges.device)
+        return torch.as_tensor(self.topology.refined_faces, device=self.edges.device)
 
 
 def level_flaps(topology: Topology, device: torch.device | str = "cpu") -> LevelFlaps:
     """Put a level's half-flaps on a device, in both orders."""
-    flaps = topology.flaps
-    absent = flaps[:, 2:] < 0
-    corners = np.where(flaps < 0, flaps[:, [0, 1, 3, 2]], flaps)
-    by_origin = np.argsort(flaps[:, 0], kind="stable")
+    corners, absent = topology.flaps, None
+    if topology.is_boundary_edge.any():
+        absent = (corners[:, 2:] < 0).T
+        corners = np.where(corners < 0, corners[:, [0, 1, 3, 2]], corners)
+    by_origin = counting_order(corners[:, 0], topology.n_vertices)
     starts = np.concatenate([[0], np.cumsum(topology.valence)])
 
-    def groups(rows, offsets) -> FlapGroups:
-        missing = torch.as_tensor(np.ascontiguousarray(absent[rows].T), device=device) if absent.any() else None
-        return FlapGroups(torch.as_tensor(corners[rows], device=device), missing,
-                          torch.as_tensor(offsets, device=device))
+    def groups(corners, absent, offsets) -> FlapGroups:
+        missing = None if absent is None else torch.as_tensor(np.ascontiguousarray(absent), device=device)
+        return FlapGroups(torch.as_tensor(corners, device=device), missing, torch.as_tensor(offsets, device=device))
 
-    return LevelFlaps(groups(by_origin, starts), groups(slice(None), np.arange(0, len(flaps) + 1, 2)),
-                      torch.as_tensor(topology.edges, device=device), topology.faces, topology.face_edges)
+    return LevelFlaps(groups(np.take(corners, by_origin, axis=0),  # several times faster than corners[by_origin]
+                             None if absent is None else absent[:, by_origin], starts),
+                      groups(corners, absent, np.arange(0, len(corners) + 1, 2)),
+                      torch.as_tensor(topology.edges, device=device), topology)
 
 
 class _SumRows(torch.autograd.Function):

@@ -30,7 +30,7 @@ from neusub import __version__
 from neusub.errors import PairFileError
 from neusub.files import replacing
 from neusub.flaps import LevelFlaps, level_flaps
-from neusub.topology import Topology, refine_faces, topology_levels
+from neusub.topology import Topology, topology_levels
 
 __all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "pair_files", "read_header", "save_pairs"]
 
@@ -284,7 +284,7 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
     else:
         topologies, _ = topology_levels(np.concatenate([p.faces + s for p, s in zip(pairs, starts)]),
                                         int(starts[-1]), depth)
-    last = refine_faces(topologies[-1])
+    last = topologies[-1].refined_faces
     owner = np.repeat(np.arange(len(pairs)), np.diff(starts))
     owners = [owner]
     for topology in topologies:

@@ -29,7 +29,7 @@ from neusub.errors import (
     ShapeError,
     UnreferencedVertexError,
 )
-from neusub.topology import Topology, build_topology, refine_corners, refine_faces
+from neusub.topology import Topology, build_topology, refine_corners
 
 __all__ = ["Material", "Mesh", "face_edge_groups", "find_problems", "vertex_fans"]
 
@@ -125,7 +125,7 @@ class Mesh:
     ) -> Mesh:
         """One midpoint refinement, with positions (and colours) of the old vertices and then of the edges' midpoints.
 
-        faces: as `topology.refine_faces` gives them, for a caller who has them.  UVs go linearly along each corner
+        faces: the topology's `refined_faces`, for a caller who has them.  UVs go linearly along each corner
         edge, face data to the four children of their face.  Nothing is checked again: refinement keeps a manifold.
         """
         uv, uv_faces = self.uv, self.uv_faces
@@ -135,7 +135,7 @@ class Mesh:
             uv_faces = refine_corners(uv_faces, chart.face_edges + chart.n_vertices)
         return Mesh._trusted(
             vertices=np.array(vertices, dtype=np.float64),
-            faces=refine_faces(self.topology) if faces is None else faces.copy(),
+            faces=self.topology.refined_faces if faces is None else faces.copy(),
             uv=uv,
             uv_faces=uv_faces,
             colors=None if colors is None else np.array(colors, dtype=np.float64),

@@ -188,7 +188,7 @@ class NeuralSubdivision(nn.Module):
         move, values, _ = self.initial(first, positions, Values(seen, vectors))
         start, positions = put(positions, given[0]), put(positions + move, given[0])
         if self.plan.unturned:
-            faces = torch.tensor(levels[0].faces, device=positions.device)
+            faces = torch.tensor(levels[0].topology.faces, device=positions.device)
             normals = area_normals(faces, start)
             positions = unturned(faces, normals, start, positions)
         outputs = [positions]

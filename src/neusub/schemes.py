@@ -30,7 +30,7 @@ from scipy.sparse import csc_array, csr_array
 from neusub.butterfly import butterfly_edges
 from neusub.creases import area_normals, crease_mask, marked_creases, refine_creases, unit_vectors
 from neusub.rings import Around, Block, grouped, sharp_count
-from neusub.topology import Topology, build_topology, refine_faces
+from neusub.topology import Topology, build_topology
 
 __all__ = [
     "Operator",
@@ -93,7 +93,7 @@ def subdivision_operator(
     matrices, faces = [], [topology.faces]
     for level in range(levels):
         matrices.append(subdivision_matrix(topology, scheme, weights=weights, creases=sharp))
-        faces.append(refine_faces(topology))
+        faces.append(topology.refined_faces)
         if level + 1 < levels:
             coarse, topology = topology, build_topology(faces[-1], matrices[-1].shape[0])
             sharp = None if sharp is None else refine_creases(coarse, sharp, topology)
@@ -122,7 +122,7 @@ def subdivide_classic(
         topology = mesh.topology
         matrix = subdivision_matrix(topology, scheme if level < levels else "loop", weights=weights, creases=sharp)
         colors = None if mesh.colors is None else np.clip(matrix @ mesh.colors, 0, 1)
-        mesh = mesh.refined(matrix @ mesh.vertices, refine_faces(topology), colors)
+        mesh = mesh.refined(matrix @ mesh.vertices, topology.refined_faces, colors)
         meshes.append(mesh)
         if sharp is not None and level + 1 < levels + limit_levels:
             sharp = refine_creases(topology, sharp, mesh.topology)
@@ -230,7 +230,7 @@ def loop_limit(
     if (count == 1).any() and (count[topology.edges[sharp]] == 2).any():
         # The edge from a curve to a dart departs from the curve's rule, for one level: the masks hold after it.
         fine = subdivision_matrix(topology, "loop", weights=weights, creases=creases) @ vertices
-        refined = build_topology(refine_faces(topology), len(fine))
+        refined = build_topology(topology.refined_faces, len(fine))
         creases = refine_creases(topology, sharp & ~topology.is_boundary_edge, refined)
         limit = _limit(refined, fine, refined.is_boundary_edge | creases, weights)
         return limit[0][: len(vertices)], limit[1][: len(vertices)]

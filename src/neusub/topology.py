@@ -25,10 +25,12 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from jaxtyping import Bool, Int64
+from jaxtyping import Bool, Int64, Integer
 from numpy import ndarray
 
-__all__ = ["Topology", "build_topology", "connected_components", "refine_corners", "refine_faces", "topology_levels"]
+__all__ = [
+    "Topology", "build_topology", "connected_components", "counting_order", "refine_corners", "topology_levels",
+]  # fmt: skip
 
 
 @dataclass(frozen=True, eq=False)
@@ -45,7 +47,9 @@ class Topology:
     def edge_opposite(self) -> Int64[ndarray, "nE 2"]:
         """Vertex opposite to each edge, in the face left of min -> max and left of max -> min; -1 where none."""
         corner_before = self.faces[:, [2, 0, 1]].reshape(-1)
-        return np.where(self.edge_halfedges >= 0, corner_before[self.edge_halfedges], -1)
+        opposite = np.take(corner_before, self.edge_halfedges)
+        opposite[self.edge_halfedges < 0] = -1
+        return opposite
 
     @cached_property
     def twins(self) -> Int64[ndarray, " nH"]:
@@ -67,6 +71,11 @@ class Topology:
         return flaps.reshape(-1, 4)
 
     @cached_property
+    def refined_faces(self) -> Int64[ndarray, "4*nF 3"]:
+        """Faces of the midpoint refinement; the midpoint of edge k is vertex n_vertices + k."""
+        return refine_corners(self.faces, self.face_edges + self.n_vertices)
+
+    @cached_property
     def is_boundary_edge(self) -> Bool[ndarray, " nE"]:
         there, back = self.edge_halfedges.T  # by columns: `any(axis=1)` over two of them is ten times slower
         return (there < 0) | (back < 0)
@@ -84,38 +93,36 @@ class Topology:
 
 
 def build_topology(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Topology:
-    """Edges and their half-edges, by one radix sort of the half-edges' keys."""
+    """Edges and their half-edges, by sorting the half-edges by their higher and then by their lower end."""
     faces = np.ascontiguousarray(faces, dtype=np.int64)
     tail = faces.reshape(-1)
     head = np.empty_like(faces)
     head[:, :2], head[:, 2] = faces[:, 1:], faces[:, 0]
     head = head.reshape(-1)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
-    key = low * n_vertices + high
-    order = radix_order(key, n_vertices**2)
-    key = key[order]
-    is_first = np.empty(len(key), dtype=bool)
+    order = counting_order(high, n_vertices)
+    order = order[counting_order(low[order], n_vertices)]
+    is_first = np.empty(len(order), dtype=bool)
     is_first[:1] = True
-    np.not_equal(key[1:], key[:-1], out=is_first[1:])
-    edge_of = np.cumsum(is_first) - 1
-    face_edges = np.empty(len(key), dtype=np.int64)
-    face_edges[order] = edge_of
-    first = order[is_first]
-    edges = np.stack([low[first], high[first]], axis=1)
+    low_order, high_order = low[order], high[order]
+    np.logical_or(low_order[1:] != low_order[:-1], high_order[1:] != high_order[:-1], out=is_first[1:])
+    face_edges = np.empty(len(order), dtype=np.int64)
+    face_edges[order] = np.cumsum(is_first) - 1
+    edges = np.stack([low_order[is_first], high_order[is_first]], axis=1)
     edge_halfedges = np.full((len(edges), 2), -1, dtype=np.int64)
-    edge_halfedges.reshape(-1)[2 * face_edges + (tail > head)] = np.arange(len(key))
+    edge_halfedges.reshape(-1)[2 * face_edges + (tail > head)] = np.arange(len(order))
     return Topology(n_vertices, faces, edges, face_edges.reshape(-1, 3), edge_halfedges)
 
 
-def radix_order(keys: Int64[ndarray, " n"], bound: int) -> Int64[ndarray, " n"]:
-    """The stable order of keys in 0 .. bound - 1, digit by digit of 16 bits.
+def counting_order(keys: Int64[ndarray, " n"], bound: int) -> Integer[ndarray, " n"]:
+    """The stable order of keys in 0 .. bound - 1.
 
-    numpy sorts 16-bit integers by counting; on these keys this takes a third of the time of `np.argsort(keys)`.
+    scipy finds it by counting where it transposes a sparse matrix, in a sixth of the time of `np.argsort(keys)`.
     """
-    order = np.argsort(keys.astype(np.uint16), kind="stable")  # the conversion keeps the lowest 16 bits
-    for shift in range(16, (bound - 1).bit_length(), 16):
-        order = order[np.argsort((keys >> shift).astype(np.uint16)[order], kind="stable")]
-    return order
+    from scipy.sparse import csr_array
+
+    rows = csr_array((np.empty(len(keys), dtype=bool), keys, np.arange(len(keys) + 1)), shape=(len(keys), bound))
+    return rows.tocsc().indices
 
 
 def refine_corners(
@@ -131,11 +138,6 @@ def refine_corners(
     return refined.reshape(-1, 3)
 
 
-def refine_faces(topology: Topology) -> Int64[ndarray, "4*nF 3"]:
-    """Faces of the midpoint refinement; the midpoint of edge k is vertex n_vertices + k."""
-    return refine_corners(topology.faces, topology.face_edges + topology.n_vertices)
-
-
 def topology_levels(
     faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int
 ) -> tuple[list[Topology], Int64[ndarray, "nF_fine 3"]]:
@@ -143,7 +145,7 @@ def topology_levels(
     topologies = []
     for _ in range(levels):
         topologies.append(build_topology(faces, n_vertices))
-        faces = refine_faces(topologies[-1])
+        faces = topologies[-1].refined_faces
         n_vertices += len(topologies[-1].edges)
     return topologies, faces
 

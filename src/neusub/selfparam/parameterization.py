@@ -19,7 +19,7 @@ from neusub.errors import ParameterizationError
 from neusub.files import replacing
 from neusub.mesh import Mesh
 from neusub.selfparam.mapping import Charts, go_down, go_up
-from neusub.topology import radix_order, topology_levels
+from neusub.topology import counting_order, topology_levels
 
 if TYPE_CHECKING:
     from neusub.selfparam.report import MapReport
@@ -208,7 +208,7 @@ def in_parallel(kernel: Any, charts: Charts, versions: ndarray, points: ndarray)
     if n <= CHUNK:
         kernel(charts, versions, points, 0, n)
         return
-    order = radix_order(versions.astype(np.int64), int(charts.used[1]))
+    order = counting_order(versions, int(charts.used[1]))
     sorted_versions, sorted_points = versions[order], points[order]
     with ThreadPoolExecutor(os.cpu_count()) as pool:
         for task in [pool.submit(kernel, charts, sorted_versions, sorted_points, a, min(a + CHUNK, n))
