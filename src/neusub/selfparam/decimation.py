@@ -16,7 +16,7 @@ from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_ed
 from neusub.selfparam.criteria import REASONS, Criteria
 from neusub.selfparam.flatten import make_solver
 from neusub.selfparam.locality import LARGE, Order, file_order, local_order, reordered
-from neusub.selfparam.mapping import CAPACITY, grown, make_charts, trimmed
+from neusub.selfparam.mapping import CAPACITY, finished, grown, make_charts
 from neusub.selfparam.parameterization import SelfParameterization
 from neusub.selfparam.placement import (
     STRATEGIES,
@@ -192,7 +192,7 @@ def finish(mesh: Mesh, work: Work, order: Order, reached: bool, strategy: str, s
         faces=faces.reshape(-1, 3).astype(np.int64),
         decimated=surface.positions[place[kept]],
         versions=surface.versions[alive].astype(np.int32),
-        charts=trimmed(work.charts),
+        charts=finished(work.charts),
         reached=reached,
         counts={name: int(n) for name, n in zip(REASONS, work.counts)},
         strategy=strategy,

@@ -28,7 +28,7 @@ from neusub.errors import ParameterizationError
 from neusub.selfparam.criteria import plane_face, quality
 from neusub.selfparam.distances import squared_distance
 from neusub.selfparam.flatten import THINNEST, flatten_ring
-from neusub.selfparam.mapping import CAPACITY, MADE, Charts, go_up, grown, locate, set_corners, trimmed
+from neusub.selfparam.mapping import CAPACITY, MADE, Charts, finished, go_up, grown, locate, set_corners
 from neusub.selfparam.parameterization import SelfParameterization, corner_points
 from neusub.selfparam.placement import scatter, unit_normals
 from neusub.selfparam.surface import ONE, ZERO, after, before, copy_row, frame_of
@@ -90,7 +90,7 @@ def fitted(result: SelfParameterization, levels: int = 2, passes: int = 5) -> Se
         slid, mean = fit_pass(fit, max(CALM * mean, least))
         if slid == 0:
             break
-    return replace(result, decimated=fit.images * scale + centre, versions=fit.versions, charts=trimmed(fit.charts))
+    return replace(result, decimated=fit.images * scale + centre, versions=fit.versions, charts=finished(fit.charts))
 
 
 def prepare(result: SelfParameterization, side: int, centre: ndarray, scale: float) -> Fit:
@@ -368,11 +368,9 @@ def slide(fit, v, d, count, x, y):
         copy_row(charts.uv, first_uv + i, uv, i)
     for t in range(d):
         face = fit.halfedges[t] // 3
-        old = fit.versions[face]
         copy_row(charts.before, row + t, fit.fans[0], t)
         copy_row(charts.after, made + t, fit.fans[1], t)
-        charts.old[row + t], charts.consumed_by[old], charts.consumed_at[old] = old, c, row + t
-        charts.made_by[version + t], charts.consumed_by[version + t] = c, -1
+        charts.old[row + t], charts.made_by[version + t] = fit.versions[face], c
         fit.versions[face] = version + t
         fit.first[face] = -1
     charts.starts[c + 1, 0], charts.starts[c + 1, 1] = first_uv + d + 2, row + d

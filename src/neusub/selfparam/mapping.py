@@ -26,8 +26,8 @@ from neusub.compilation import COMPILED, INNER
 from neusub.selfparam.surface import ZERO, copy_row
 
 __all__ = [
-    "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "go_down", "go_up", "grown", "make_charts",
-    "record", "trimmed",
+    "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "finished", "go_down", "go_up", "grown",
+    "make_charts", "record",
 ]  # fmt: skip
 
 CAPACITY = 2**16 - 3  # of a ring: local vertices are uint16, and there are three more than ring vertices
@@ -44,7 +44,7 @@ class Charts(NamedTuple):
     after: ndarray  # (made, 4) uint16
     made_by: ndarray  # (versions,) int32: the chart that made a version; -1 for the input's
     consumed_by: ndarray  # (versions,) int32: the chart that consumed it; -1 for the coarse mesh's
-    consumed_at: ndarray  # (versions,) int32: its row in `before`
+    consumed_at: ndarray  # (versions,) int32: its row in `before`; `finished` fills both
     used: ndarray  # (2,) int64: charts, versions
 
 
@@ -69,10 +69,17 @@ def grown(charts: Charts, n_faces: int, n_charts: int, slots: int) -> Charts:
     return new
 
 
-def trimmed(charts: Charts) -> Charts:
-    """Without the room that is left; views, as copying a large map would take a twentieth of its making."""
+def finished(charts: Charts) -> Charts:
+    """With what consumed each version, and without the room that is left.
+
+    Consumers are written at the end, chart by chart: in the decimation they would be two places far away for each face.
+    Views, as copying a large map would take a twentieth of its making.
+    """
     n_charts, n_versions = charts.used
     n_uv, n_before, _ = charts.starts[n_charts]
+    charts.consumed_by[charts.old[:n_before]] = np.repeat(
+        np.arange(n_charts, dtype=np.int32), np.diff(charts.starts[: n_charts + 1, BEFORE]))
+    charts.consumed_at[charts.old[:n_before]] = np.arange(n_before, dtype=np.int32)
     n_after = n_versions - charts.starts[0, MADE]
     lengths = (n_charts + 1, n_uv, n_before, n_before, n_after, n_versions, n_versions, n_versions, 2)
     return Charts(*(array[:n] for array, n in zip(charts, lengths)))
@@ -99,9 +106,7 @@ def charts_of(n_faces: int, steps: Sequence[Step]) -> Charts:
                           (charts.after[: n_versions - n_faces], [s.after for s in steps])):
         filled[:] = np.concatenate([filled[:0], *parts])
     charts.made_by[n_faces:n_versions] = np.repeat(np.arange(len(steps)), lengths[:, MADE])
-    charts.consumed_by[charts.old[:n_before]] = np.repeat(np.arange(len(steps)), lengths[:, BEFORE])
-    charts.consumed_at[charts.old[:n_before]] = np.arange(n_before)
-    return trimmed(charts)
+    return finished(charts)
 
 
 # --- the chart of an edge collapse -------------------------------------------------------------------------------
@@ -124,10 +129,9 @@ def set_corners(faces, row, corner, a, b, c, first):
 
 
 @njit(**INNER)
-def consume(charts, surface, c, row, h, a, b, c_local, first):
-    """Write the face of half-edge h, which runs from a to b, into row `row` of chart c."""
-    version = surface.versions[h // 3]
-    charts.old[row], charts.consumed_by[version], charts.consumed_at[version] = version, c, row
+def consume(charts, surface, row, h, a, b, c_local, first):
+    """Write the face of half-edge h, which runs from a to b, into row `row` of `before`."""
+    charts.old[row] = surface.versions[h // 3]
     set_corners(charts.before, row, h % 3, a, b, c_local, first)
 
 
@@ -148,15 +152,15 @@ def record(charts, surface, ring, h, m, split, gap):
         if t == gap:
             continue
         g, s = np.int64(ring.halfedges[t]), t + 1 if t + 1 < m else 0
-        consume(charts, surface, c, row + n, g, m if t < split else m + 1, t, s, n)
+        consume(charts, surface, row + n, g, m if t < split else m + 1, t, s, n)
         set_corners(charts.after, made + n, g % 3, m + 2, t, s, n)
         charts.made_by[version + n] = c
         surface.versions[g // 3] = version + n
         n += 1
-    consume(charts, surface, c, row + n, h, m, m + 1, ZERO, ZERO)
+    consume(charts, surface, row + n, h, m, m + 1, ZERO, ZERO)
     end, twin = row + n + 1, np.int64(surface.twins[h])
     if twin >= 0:
-        consume(charts, surface, c, end, twin, m + 1, m, split, split - 1 if 0 <= gap < split else split % n)
+        consume(charts, surface, end, twin, m + 1, m, split, split - 1 if 0 <= gap < split else split % n)
         end += 1
     charts.starts[c + 1, UV], charts.starts[c + 1, BEFORE], charts.starts[c + 1, MADE] = uv + m + 3, end, version + n
     charts.used[0], charts.used[1] = c + 1, version + n
