@@ -5,7 +5,7 @@ import pytest
 
 import shapes
 from neusub.errors import PairFileError
-from neusub.generation import Pair, import_pairs, load_pairs, read_header, save_pairs, shortened
+from neusub.generation import Pair, check_pair, import_pairs, load_pairs, read_header, save_pairs, shortened
 from test_network import make_pair
 
 
@@ -47,6 +47,14 @@ def test_targets_that_do_not_fit_their_faces_are_a_named_error(pairs, tmp_path):
     save_pairs([wrong], tmp_path / "p.safetensors", {})
     with pytest.raises(PairFileError, match="its targets have"):
         load_pairs(tmp_path / "p.safetensors")
+
+
+@pytest.mark.parametrize("index", [-1, 10**6])
+def test_a_face_of_vertices_that_there_are_not_is_a_named_error(pairs, index):
+    faces = pairs[0].faces.copy()
+    faces[3, 1] = index
+    with pytest.raises(PairFileError, match="is not one of its"):
+        check_pair(Pair(faces, pairs[0].targets, pairs[0].level_sizes))
 
 
 def test_a_shortened_pair_has_the_prefix_of_the_targets(pairs):

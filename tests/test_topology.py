@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import shapes
-from neusub.topology import build_topology, connected_components, topology_levels
+from neusub.topology import build_topology, connected_components, counting_order, topology_levels
 
 CLOSED = {"tetrahedron": shapes.tetrahedron(), "icosahedron": shapes.icosahedron(), "torus": shapes.torus(7, 5),
           "genus 2": shapes.genus(2)}
@@ -20,6 +20,18 @@ def test_edges_are_the_sorted_unique_pairs(name):
     vertices, faces = ALL[name]
     pairs = np.sort(faces[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
     assert np.array_equal(build_topology(faces, len(vertices)).edges, np.unique(pairs, axis=0))
+
+
+def test_counting_gives_the_stable_order():
+    keys = np.random.default_rng(0).integers(0, 50, 1000)
+    assert np.array_equal(counting_order(keys, 50), np.argsort(keys, kind="stable"))
+    assert len(counting_order(keys[:0], 50)) == 0
+
+
+@pytest.mark.parametrize("key", [-1, 50, 10**9])
+def test_a_key_out_of_range_is_an_error_and_no_crash(key):
+    with pytest.raises(IndexError, match="keys go from"):
+        counting_order(np.array([0, key, 3]), 50)
 
 
 @pytest.mark.parametrize("name", ALL)

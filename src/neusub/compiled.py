@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from math import log
@@ -14,6 +14,7 @@ import torch
 from jaxtyping import Float
 from numpy import ndarray
 from torch import Tensor
+from torch.autograd.function import once_differentiable
 
 from neusub.bounds import Measures
 from neusub.compilation import announce
@@ -24,7 +25,7 @@ __all__ = ["Layers", "Measuring", "Said", "said", "serves"]
 
 ENOUGH = 50_000  # half-flaps for which the kernels are worth their compilation, where nothing is learned
 PART = 4096  # half-flaps that are worth a thread
-ROWS = 128  # half-flaps of a block, at most
+ROWS = 128  # half-flaps of a block, at most; more where one vertex has more
 PRODUCT = 1 << 18  # multiplications of a product of matrices that BLAS does in the thread that asks
 
 Measuring = Literal["all", "no turning"] | None  # which `Measures` are wanted
@@ -77,10 +78,10 @@ class Constants(NamedTuple):
     mantissa: np.integer  # bits
 
 
-def serves(groups: FlapGroups, positions: Tensor) -> bool:
+def serves(groups: FlapGroups, positions: Tensor, weights: Tensor) -> bool:
     """Whether `said` is to be taken: always for learning on a CPU, else for meshes of some size."""
     return (positions.device.type == "cpu" and positions.dtype in (torch.float32, torch.float64)
-            and not torch.is_autocast_enabled("cpu")
+            and positions.dtype == weights.dtype and not torch.is_autocast_enabled("cpu")
             and (torch.is_grad_enabled() or len(groups.corners) >= ENOUGH))
 
 
@@ -89,41 +90,44 @@ def said(
     table: Float[Tensor, "4*nV c"] | None, layers: Layers, plan: Architecture, learns: bool, measures: Measuring,
 ) -> Said:
     """As `network.said_by_tensors`."""
-    spoken, hidden, count, rows = _Said.apply(groups, plan, learns, measures is not None, positions, vectors, table,
-                                              *layers)
-    found = None if measures is None else Measures(rows[0], rows[1], rows[2], rows[3], rows[4:])
+    vectors = positions.new_empty(len(positions), 0) if vectors is None else vectors
+    table = positions.new_empty(0, plan.width) if table is None else table
+    turning = measures == "all" and plan.sharp > 0
+    spoken, hidden, count, rows = _Said.apply(groups, plan, learns, measures is not None, turning, positions, vectors,
+                                              table, *layers)
+    found = None if measures is None else Measures(rows[0], rows[1], rows[2], rows[3], rows[4:] if turning else None)
     return Said(spoken, hidden if learns else None, count, found)
 
 
 class _Said(torch.autograd.Function):
     @staticmethod
-    def forward(ctx, groups: FlapGroups, plan: Architecture, learns: bool, measures: bool, positions: Tensor,
-                vectors: Tensor | None, table: Tensor | None, *layers: Tensor):
+    def forward(ctx, groups: FlapGroups, plan: Architecture, learns: bool, measures: bool, turning: bool,
+                *tensors: Tensor):
+        """tensors: positions, vectors, table, then the layers."""
         from neusub import kernels
 
         announce(kernels.forwards, "the network's kernels")
-        m, width = len(groups.offsets) - 1, plan.width
-        vectors = positions.new_empty(len(positions), 0) if vectors is None else vectors
-        table = positions.new_empty(0, width) if table is None else table
-        missing = torch.empty(2, 0, dtype=torch.bool) if groups.missing is None else groups.missing
-        shape = Shape(*map(array, (positions, vectors, table, groups.corners, missing, groups.offsets)))
-        weights = Layers(*map(array, layers))  # type: ignore[arg-type]
-        capacity = max(int(groups.offsets.diff().max()), min(ROWS, PRODUCT // (width * max(weights.first.shape))))
-        fixed = shape, weights, transposed(weights), constants_of(positions.dtype, plan), capacity
+        m, positions = len(groups.offsets) - 1, tensors[0]
+        fixed = given_to_kernels(groups, plan, tensors)
+        n_measures = measures * kernels.MEASURES + turning * kernels.TURNING
         results = [positions.new_empty(size) for size in (
-            (m, len(weights.last)), (m, width if learns else 0), (m, 1), (kernels.MEASURES if measures else 0, m))]
+            (m, len(tensors[-1])), (m, plan.width if learns else 0), (m, 1), (n_measures, m))]
         in_parts(kernels.forwards, fixed, m, len(groups.corners), *map(array, results))
-        ctx.kept = groups, fixed
+        ctx.groups, ctx.plan = groups, plan
+        ctx.save_for_backward(*tensors)
         ctx.mark_non_differentiable(*results[2:])
         return tuple(results)
 
     @staticmethod
+    @once_differentiable
     def backward(ctx, of_vectors, of_hidden, *_):  # type: ignore[override]
         from neusub import kernels
 
-        groups, fixed = ctx.kept
+        announce(kernels.backwards, "the network's kernels for learning")
+        groups = ctx.groups
+        fixed = given_to_kernels(groups, ctx.plan, ctx.saved_tensors)
         shape, weights = fixed[:2]
-        reads = any(ctx.needs_input_grad[4:6])
+        reads = any(ctx.needs_input_grad[5:7])
         n, m, dtype = len(shape.corners), len(shape.offsets) - 1, shape.positions.dtype
         of_corners = np.empty((4 * n if reads else 0, 3 + shape.vectors.shape[1]), dtype)
         of_before = np.empty((n, shape.table.shape[1]), dtype)
@@ -144,28 +148,35 @@ class _Said(torch.autograd.Function):
         if len(shape.table):  # which has the first bias in it
             of_table = summed(of_before, len(shape.table), 1)
             of_weights = of_weights._replace(first_bias=None)
-        return (None, None, None, None, of_positions, of_vectors if shape.vectors.size else None, of_table,
+        return (None, None, None, None, None, of_positions, of_vectors, of_table,
                 *(None if value is None else torch.from_numpy(value) for value in of_weights))
+
+
+def given_to_kernels(groups: FlapGroups, plan: Architecture, tensors: Sequence[Tensor]) -> tuple:
+    """What kernels are given first: the shape, the layers, the same transposed, constants, and the rows of a block."""
+    arrays = [array(tensor) for tensor in tensors]
+    missing = np.empty((2, 0), bool) if groups.missing is None else array(groups.missing)
+    layers = Layers(*arrays[3:])  # type: ignore[arg-type]
+    transposed = Layers(*(np.ascontiguousarray(value.T) for value in layers))  # type: ignore[arg-type]
+    rows = max(int(groups.offsets.diff().max()), min(ROWS, PRODUCT // (plan.width * max(layers.first.shape))))
+    return (Shape(arrays[0], arrays[1], arrays[2], array(groups.corners), missing, array(groups.offsets)), layers,
+            transposed, constants_of(tensors[0].dtype, plan.relative, plan.activation == "silu"), rows)
 
 
 def array(tensor: Tensor) -> ndarray:
     return tensor.detach().contiguous().numpy()
 
 
-def transposed(layers: Layers) -> Layers:
-    return Layers(*(np.ascontiguousarray(value.T) for value in layers))  # type: ignore[arg-type]
-
-
 @cache
-def constants_of(dtype: torch.dtype, plan: Architecture) -> Constants:
+def constants_of(dtype: torch.dtype, is_relative: bool, is_silu: bool) -> Constants:
     kind, integer = (np.float32, np.int32) if dtype == torch.float32 else (np.float64, np.int64)
     limit = np.finfo(kind)
     powers = [1.0]
     for k in range(1, 14):
         powers.append(powers[-1] * log(2) / k if k < (8 if kind is np.float32 else 14) else 0.0)
     return Constants(
-        one=kind(1), rounding=kind((16 * limit.eps) ** 2), tiny=limit.tiny, to_size=kind(plan.relative / 5),
-        is_silu=plan.activation == "silu", powers=tuple(map(kind, powers[::-1])), log2_e=kind(1 / log(2)),
+        one=kind(1), rounding=kind((16 * limit.eps) ** 2), tiny=limit.tiny, to_size=kind(is_relative / 5),
+        is_silu=is_silu, powers=tuple(map(kind, powers[::-1])), log2_e=kind(1 / log(2)),
         magic=kind(1.5 * 2.0**limit.nmant), largest=kind(-limit.minexp - 1), ones=np.ones(1, kind).view(integer),
         mantissa=integer(limit.nmant))
 
@@ -186,6 +197,6 @@ def in_parts(kernel: Callable, fixed: tuple, count: int, half_flaps: int, *resul
     if parts == 1:
         kernel(*calls[0])
     else:
-        for task in [threads_of(parts).submit(kernel, *call) for call in calls]:
+        for task in [threads_of(torch.get_num_threads()).submit(kernel, *call) for call in calls]:
             task.result()
     return owned

@@ -23,7 +23,6 @@ __all__ = ["FlapGroups", "LevelFlaps", "by_columns", "gather_corners", "level_fl
 CHUNK = 1 << 20  # numbers of one layer at a time without gradients: they stay in the cache
 
 
-
 @dataclass(frozen=True, eq=False)
 class FlapGroups:
     """Half-flaps sorted by the vertex or edge that pools them: group i owns rows offsets[i] .. offsets[i + 1]."""
@@ -88,7 +87,8 @@ class LevelFlaps:
 
     def refined_faces(self) -> Int[Tensor, "4*nF 3"]:
         """Faces of the next level, on the device."""
-        return torch.as_tensor(self.topology.refined_faces, device=self.edges.device)
+        faces = np.require(self.topology.refined_faces, requirements="W")  # torch warns of what a mesh has frozen
+        return torch.as_tensor(faces, device=self.edges.device)
 
 
 def level_flaps(topology: Topology, device: torch.device | str = "cpu") -> LevelFlaps:

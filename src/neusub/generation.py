@@ -137,8 +137,8 @@ def load_pairs(path: str | Path) -> list[Pair]:
 
 def check_pair(pair: Pair) -> None:
     """Raises PairFileError unless the pair's sizes, indices and positions agree with each other."""
-    if pair.faces.size == 0 or pair.faces.max() >= pair.level_sizes[0]:
-        raise PairFileError(f"pair {pair.name!r}: a face's index is not below its {pair.level_sizes[0]} vertices.")
+    if pair.faces.size == 0 or pair.faces.min() < 0 or pair.faces.max() >= pair.level_sizes[0]:
+        raise PairFileError(f"pair {pair.name!r}: a face's index is not one of its {pair.level_sizes[0]} vertices.")
     if not np.isfinite(pair.targets).all():
         raise PairFileError(f"pair {pair.name!r}: target {int(np.argwhere(~np.isfinite(pair.targets))[0, 0])} is "
                             "not finite.")

@@ -18,14 +18,14 @@ from numpy import ndarray
 
 from neusub import compilation
 
-__all__ = ["MEASURES", "backwards", "forwards", "sum_corners"]
+__all__ = ["MEASURES", "TURNING", "backwards", "forwards", "sum_corners"]
 
 COMPILED = {**compilation.COMPILED, "fastmath": {"contract"}}
 ALLOCATES = {**compilation.ALLOCATES, "fastmath": {"contract"}}
 INNER = {**compilation.INNER, "fastmath": {"contract"}}
 INNER_ALLOCATES = {**INNER, "_nrt": True}
 
-MEASURES = 11  # numbers of each group that `measure` takes
+MEASURES, TURNING = 4, 7  # numbers of each group that `measure` takes, and more of them for how the surface turns
 
 
 # --- vectors -----------------------------------------------------------------------------------------------------
@@ -419,9 +419,9 @@ def add_of_groups(offsets, i, end, of_groups, results):
 
 @njit(**INNER)
 def measure(shape, i, end, constants, axes, measures):
-    """Of each group its largest height, smallest squares of an edge and of an altitude, mean size, and the sums of
-    which `frames.turns` is made: a row of `measures` each."""
-    offsets, tiny = shape.offsets, constants.tiny
+    """Of each group its largest height, smallest squares of an edge and of an altitude, mean size, and, if there are
+    rows for them, `frames.turn_sums`: a row of `measures` each."""
+    offsets, tiny, turning = shape.offsets, constants.tiny, len(measures) > MEASURES
     start = offsets[i]
     for g in range(i, end):
         highest = total = a1 = a2 = a3 = a4 = constants.one - constants.one
@@ -439,8 +439,11 @@ def measure(shape, i, end, constants, axes, measures):
             left, right = cross(e1, e2), cross(e3, e1)
             altitude = min(altitude, min(dot(left, left) / max(max(c1, max(c2, c4)), tiny),
                                          dot(right, right) / max(max(c1, max(c3, c5)), tiny)))
-            up_2, up_3, side_2, side_3 = dot(e2, z), dot(e3, z), dot(e2, y), dot(e3, y)
+            up_2, up_3 = dot(e2, z), dot(e3, z)
             highest = max(highest, max(abs(up_2), abs(up_3)))
+            if not turning:
+                continue
+            side_2, side_3 = dot(e2, y), dot(e3, y)
             up_2, up_3 = up_2 * up_2, up_3 * up_3
             squared = min(up_2 / max(side_2 * side_2 + up_2, tiny), up_3 / max(side_3 * side_3 + up_3, tiny))
             s = np.sqrt(squared)
@@ -448,15 +451,16 @@ def measure(shape, i, end, constants, axes, measures):
             ahead = plus(ahead, times(s, x))
         measures[0, g], measures[1, g], measures[2, g] = highest, shortest, altitude
         measures[3, g] = total / (5 * (offsets[g + 1] - offsets[g]))
-        measures[4, g], measures[5, g], measures[6, g], measures[7, g] = a1, a2, a3, a4
-        measures[8, g], measures[9, g], measures[10, g] = ahead
+        if turning:
+            measures[4, g], measures[5, g], measures[6, g], measures[7, g] = a1, a2, a3, a4
+            measures[8, g], measures[9, g], measures[10, g] = ahead
 
 
 @njit(**ALLOCATES)
 def backwards(shape, layers, transposed, constants, capacity, reads, first, last, of_sums, of_hidden, of_corners,
               of_before, of_layers):
     """The gradients of `forwards`: of what each half-flap reads of its corners (if `reads`), of its first layer before
-    the activation, and, added up, of the layers (but the first bias)."""
+    the activation, and, added up, of the layers; the first bias for a module without a table."""
     offsets = shape.offsets
     block = new_block(capacity, layers)
     of_local, of_axes, of_seen = np.empty_like(block.local), np.empty_like(block.axes), np.empty_like(block.seen)
@@ -499,9 +503,12 @@ def add_outer(a, b, rows, products, sums):
 
 @njit(**INNER)
 def add_rows(values, rows, sums):
-    for r in range(rows):
-        for j in range(len(sums)):
-            sums[j] += values[r, j]
+    """A block by itself first, which keeps the rounding of long sums down."""
+    for j in range(len(sums)):
+        total = sums[j] - sums[j]
+        for r in range(rows):
+            total += values[r, j]
+        sums[j] += total
 
 
 @njit(**COMPILED)

@@ -135,7 +135,7 @@ class Mesh:
             uv_faces = refine_corners(uv_faces, chart.face_edges + chart.n_vertices)
         return Mesh._trusted(
             vertices=np.array(vertices, dtype=np.float64),
-            faces=self.topology.refined_faces if faces is None else faces.copy(),
+            faces=self.topology.refined_faces if faces is None else faces,
             uv=uv,
             uv_faces=uv_faces,
             colors=None if colors is None else np.array(colors, dtype=np.float64),

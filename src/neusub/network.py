@@ -99,7 +99,7 @@ class HalfFlapMLP(nn.Module):
             table = linear(table, fixed, pad(self.first.bias, (0, 3 * self.plan.width))).view(-1, self.plan.width)
         measures = None if self.bound is None and not self.plan.flat and not self.plan.sharp else \
             "all" if around is None else "no turning"
-        if compiled.serves(groups, positions):
+        if compiled.serves(groups, positions, self.first.weight):
             said, parts = compiled.said, [groups]
         else:
             said, parts = said_by_tensors, groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]

@@ -118,9 +118,12 @@ def counting_order(keys: Int64[ndarray, " n"], bound: int) -> Integer[ndarray, "
     """The stable order of keys in 0 .. bound - 1.
 
     scipy finds it by counting where it transposes a sparse matrix, in a sixth of the time of `np.argsort(keys)`.
+    Raises IndexError for other keys.
     """
     from scipy.sparse import csr_array
 
+    if len(keys) and not 0 <= keys.min() <= keys.max() < bound:  # scipy would write outside of its arrays
+        raise IndexError(f"keys go from {keys.min()} to {keys.max()}, beyond 0 .. {bound - 1}.")
     rows = csr_array((np.empty(len(keys), dtype=bool), keys, np.arange(len(keys) + 1)), shape=(len(keys), bound))
     return rows.tocsc().indices
 

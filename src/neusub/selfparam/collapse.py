@@ -238,7 +238,7 @@ def try_collapse(work, user, h):
     conformal = work.options[2] > 0
     reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal)
     if tiny and conformal and reason in (PLANE_BEFORE, PLANE_AFTER):
-        conformal = not conformal
+        conformal = not conformal  # False itself would have `flatten` compiled once more, for that alone
         reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal)
     if reason != LEGAL:
         return reason
