@@ -1,4 +1,8 @@
-"""Options of all compiled kernels, and a word to the user before one is compiled."""
+"""Options of all compiled kernels, and a word to the user before one is compiled.
+
+numba keeps what it compiled in `__pycache__`, and notices changes of a kernel's own file only: who edits a kernel that
+others call removes that folder.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +10,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ALLOCATES", "COMPILED", "INNER", "announce"]
+__all__ = ["ALLOCATES", "COMPILED", "CONTRACTED", "INNER", "announce"]
 
 # Most kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third to a half
 # of the time).  Then no array is assigned to a slice as a whole.  Divisions by zero give inf, as in numpy.
@@ -14,6 +18,7 @@ COMPILED = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model
 ALLOCATES = {**COMPILED, "_nrt": True}
 # For kernels that only kernels call, which saves a third of the compilation.  Called from Python they crash.
 INNER = {**COMPILED, "no_cpython_wrapper": True}
+CONTRACTED = {"fastmath": {"contract"}}  # a product and a sum may be rounded once
 
 
 def announce(kernel: Any, what: str) -> None:

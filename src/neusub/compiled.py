@@ -104,12 +104,12 @@ class _Said(torch.autograd.Function):
     def forward(ctx, groups: FlapGroups, plan: Architecture, learns: bool, measures: bool, turning: bool,
                 *tensors: Tensor):
         """tensors: positions, vectors, table, then the layers."""
-        from neusub import kernels
+        from neusub import kernel_frames, kernels
 
         announce(kernels.forwards, "the network's kernels")
         m, positions = len(groups.offsets) - 1, tensors[0]
         fixed = given_to_kernels(groups, plan, tensors)
-        n_measures = measures * kernels.MEASURES + turning * kernels.TURNING
+        n_measures = measures * kernel_frames.MEASURES + turning * kernel_frames.TURNING
         results = [positions.new_empty(size) for size in (
             (m, len(tensors[-1])), (m, plan.width if learns else 0), (m, 1), (n_measures, m))]
         in_parts(kernels.forwards, fixed, m, len(groups.corners), *map(array, results))
