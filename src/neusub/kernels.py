@@ -120,7 +120,6 @@ class Block(NamedTuple):
     gates_2: ndarray
     after_2: ndarray
     local: ndarray  # vectors in the frames
-    scratch: ndarray
 
 
 @njit(**INNER_ALLOCATES)
@@ -131,8 +130,7 @@ def new_block(capacity, layers):
                  np.empty((capacity, first.shape[1]), dtype), np.empty((capacity, width), dtype),
                  np.empty((capacity, width), dtype), np.empty((capacity, width), dtype),
                  np.empty((capacity, width), dtype), np.empty((capacity, width), dtype),
-                 np.empty((capacity, width), dtype), np.empty((capacity, last.shape[0]), dtype),
-                 np.empty((capacity, width), dtype))
+                 np.empty((capacity, width), dtype), np.empty((capacity, last.shape[0]), dtype))
 
 
 @njit(**INNER_ALLOCATES)

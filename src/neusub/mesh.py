@@ -125,8 +125,9 @@ class Mesh:
     ) -> Mesh:
         """One midpoint refinement, with positions (and colours) of the old vertices and then of the edges' midpoints.
 
-        faces: the topology's `refined_faces`, for a caller who has them.  UVs go linearly along each corner
-        edge, face data to the four children of their face.  Nothing is checked again: refinement keeps a manifold.
+        faces: the topology's `refined_faces`, for a caller who has them; shared, and read-only from then on.  UVs go
+        linearly along each corner edge, face data to the four children of their face.  Nothing is checked again:
+        refinement keeps a manifold.
         """
         uv, uv_faces = self.uv, self.uv_faces
         if uv is not None and uv_faces is not None:
