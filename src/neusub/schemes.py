@@ -122,7 +122,7 @@ def subdivide_classic(
         topology = mesh.topology
         matrix = subdivision_matrix(topology, scheme if level < levels else "loop", weights=weights, creases=sharp)
         colors = None if mesh.colors is None else np.clip(matrix @ mesh.colors, 0, 1)
-        mesh = mesh.refined(matrix @ mesh.vertices, colors=colors)
+        mesh = mesh.refined(matrix @ mesh.vertices, topology.refined_faces, colors)
         meshes.append(mesh)
         if sharp is not None and level + 1 < levels + limit_levels:
             sharp = refine_creases(topology, sharp, mesh.topology)
