@@ -10,7 +10,7 @@ import logging
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ALLOCATES", "COMPILED", "CONTRACTED", "INNER", "announce"]
+__all__ = ["ALLOCATES", "COMPILED", "CONTRACTED", "INNER", "ONCE", "announce"]
 
 # Most kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third to a half
 # of the time).  Then no array is assigned to a slice as a whole.  Divisions by zero give inf, as in numpy.
@@ -18,6 +18,8 @@ COMPILED = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model
 ALLOCATES = {**COMPILED, "_nrt": True}
 # For kernels that only kernels call, which saves a third of the compilation.  Called from Python they crash.
 INNER = {**COMPILED, "no_cpython_wrapper": True}
+# For large kernels that one kernel calls: written into it, as each kernel's optimiser goes over all that it calls again.
+ONCE = {**INNER, "inline": "always"}
 CONTRACTED = {"fastmath": {"contract"}}  # a product and a sum may be rounded once
 
 

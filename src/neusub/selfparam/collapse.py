@@ -15,7 +15,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED, INNER
+from neusub.compilation import COMPILED, INNER, ONCE
 from neusub.selfparam.criteria import (
     BOUNDARY,
     LEGAL,
@@ -66,6 +66,7 @@ class Work(NamedTuple):
     ring: Ring
     solver: Solver
     quadrics: ndarray  # (nV, 10)
+    refused: ndarray  # (nV,) bool: some edge of the vertex may be out of the queue
     gradients: ndarray  # (nV, attributes, 5): `appearance.py`; no attributes for most strategies
     quadric: ndarray  # (10,) scratch: of the edge at hand
     position: ndarray  # (3,) scratch: where its merged vertex goes
@@ -95,7 +96,7 @@ def run(work, user, min_vertices, min_faces, pause):
             return FULL
         work.counts[reason] += 1
         if reason != LEGAL:
-            take_out(queue, edge)
+            refuse(work, edge)
     return PAUSED
 
 
@@ -130,6 +131,8 @@ def offer_all(work, user):
     """Fill the queue with every edge there is."""
     surface = work.surface
     work.sizes[2] = 0
+    for v in range(len(work.refused)):
+        work.refused[v] = False
     for h in range(len(surface.twins)):
         if surface.faces[h // 3, 0] >= 0 and edge_of(surface, h) == h:
             offer(work, user, h)
@@ -188,14 +191,18 @@ def place(work, user, h, end):
 @njit(**INNER)
 def offer(work, user, edge):
     end = which_end(work.surface, edge)
-    if end == -2:
-        take_out(work.queue, edge)
-        return
-    cost = place(work, user, edge, end)
+    cost = place(work, user, edge, end) if end > -2 else np.inf
     if cost < 1e300:
         put(work.queue, edge, cost)
     else:
-        take_out(work.queue, edge)
+        refuse(work, edge)
+
+
+@njit(**INNER)
+def refuse(work, edge):
+    """Take an edge out of the queue until the surface changes around one of its ends."""
+    take_out(work.queue, edge)
+    work.refused[tail(work.surface, edge)] = work.refused[head(work.surface, edge)] = True
 
 
 @njit(**INNER)
@@ -209,7 +216,7 @@ def kept_end(work, h, m, end):
     return m + end if end >= 0 else -1
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def try_collapse(work, user, h):
     """Collapse the edge of h if that is legal; the reason (LEGAL: it was)."""
     surface, ring = work.surface, work.ring
@@ -266,7 +273,7 @@ def copy_points(work, h, m):
         points[m + 2, axis] = work.position[axis]
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def merge(work, user, h, m, split, gap):
     """Record the chart, merge the edge and give the edges of the merged vertex their new costs."""
     surface, ring, queue = work.surface, work.ring, work.queue
@@ -298,6 +305,9 @@ def merge(work, user, h, m, split, gap):
 @njit(**INNER)
 def offer_refused(work, user, v):
     """Put the edges of a vertex back that were refused: with another ring they may be legal."""
+    if not work.refused[v]:
+        return
+    work.refused[v] = False
     surface = work.surface
     first = np.int64(surface.starts[v])
     g = first

@@ -135,6 +135,7 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         ring=make_ring(capacity),
         solver=make_solver(capacity),
         quadrics=quadrics,
+        refused=np.ones(len(positions), np.bool_),  # the queue is empty
         gradients=gradients,
         quadric=np.zeros(10),
         position=np.zeros(3),

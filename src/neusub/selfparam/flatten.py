@@ -22,7 +22,7 @@ import numpy as np
 from numba import njit
 from numpy import ndarray
 
-from neusub.compilation import COMPILED, INNER
+from neusub.compilation import COMPILED, INNER, ONCE
 from neusub.selfparam.surface import ZERO, copy_row
 
 __all__ = ["THINNEST", "Solver", "flatten_after", "flatten_before", "flatten_ring", "make_solver"]
@@ -286,7 +286,7 @@ def flatten_tutte(uv, m, split, has_f1, along_boundary, gap):
         uv[m + 1, axis] = (sum_k * degree_j + sum_j) / determinant
 
 
-@njit(**INNER)
+@njit(**ONCE)
 def flatten_before(solver, ring, m, split, gap, has_f1, merged, kept, conformal):
     """Places of the ring, j and k in the plane, from their positions in `ring.points`."""
     along_boundary = not has_f1 and not merged
