@@ -164,7 +164,7 @@ def hold_of(surface, h, v):
     """What holds an end of h against a collapse of h: along a boundary or a seam its vertices are free."""
     if surface.twins[h] >= 0 and on_boundary(surface, v):
         return FIXED
-    if surface.is_seam[h] and surface.holds[v] == ON_SEAM:
+    if surface.holds[v] == ON_SEAM and surface.is_seam[h]:
         return FREE
     return surface.holds[v]
 

@@ -193,11 +193,11 @@ def remove_face(surface, h):
     """Take the face of h = j -> k out and close the slit: its other two edges become one."""
     into, out = twin_of(surface, after(h)), twin_of(surface, before(h))  # c -> k and j -> c, beyond the face
     join(surface, into, out)
-    is_seam = surface.is_seam[after(h)] | surface.is_seam[before(h)]
-    if into >= 0:
-        surface.is_seam[into] = is_seam
-    if out >= 0:
-        surface.is_seam[out] = is_seam
+    if surface.is_seam[after(h)] or surface.is_seam[before(h)]:
+        if into >= 0:
+            surface.is_seam[into] = True
+        if out >= 0:
+            surface.is_seam[out] = True
     c = tail(surface, before(h))
     if surface.starts[c] == before(h):
         surface.starts[c] = into
