@@ -96,6 +96,19 @@ def test_an_interrupted_call_goes_on_and_ends_with_the_same_files(sources, tmp_p
     assert done[-1] == (6, 6)
 
 
+def test_two_calls_on_a_finished_folder_may_end_at_the_same_time(sources, tmp_path, monkeypatch):
+    make_pairs(sources, tmp_path / "pairs", CONFIG)
+    before, real = contents(tmp_path / "pairs"), discretization.merge_all
+
+    def merge_while_another_call_ends(*arguments):
+        (tmp_path / "pairs" / ".parts").rmdir()
+        return real(*arguments)
+
+    monkeypatch.setattr(discretization, "merge_all", merge_while_another_call_ends)
+    make_pairs(sources, tmp_path / "pairs", CONFIG)
+    assert contents(tmp_path / "pairs") == before and not (tmp_path / "pairs" / ".parts").exists()
+
+
 def test_total_spreads_evenly_over_the_sources():
     assert PairConfig(total=200, validation=10).counts(3) == {"train": [67, 67, 66], "validation": [4, 3, 3]}
     assert PairConfig(per_mesh=5).counts(2) == {"train": [5, 5], "validation": [0, 0]}

@@ -16,6 +16,7 @@ from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -144,9 +145,9 @@ def make_pairs(
                **{split: [path.name for path in files[split]] for split in SPLITS}}
     with replacing(manifest) as new:
         new.write_text(json.dumps(listing, indent=2, sort_keys=True) + "\n")
-    for part in [*parts.iterdir(), *folder.glob(".*.part*")]:  # what killed calls were writing, too
-        part.unlink()
-    parts.rmdir()
+    rmtree(parts, ignore_errors=True)  # another call, at the same time, may have done so
+    for part in folder.glob(".*.part*"):  # what killed calls were writing
+        part.unlink(missing_ok=True)
     return PairReport(manifest, tuple(files["train"]), tuple(files["validation"]), failed)
 
 
