@@ -100,6 +100,11 @@ def checked(work: Work) -> Mesh:
     edges = work.queue.entries[FIRST : FIRST + work.queue.size[0], 1].astype(np.int64)
     assert (number[edges // 3] >= 0).all()
     assert np.array_equal(work.queue.places[edges], np.arange(len(edges)))
+
+    halfedges = (3 * alive[:, None] + np.arange(3)).reshape(-1)
+    twins = surface.twins[halfedges]
+    is_out = work.queue.places[np.where(twins < 0, halfedges, np.minimum(halfedges, twins))] < 0
+    assert work.refused[surface.faces[halfedges // 3, halfedges % 3]][is_out].all()  # so they will be offered again
     return mesh
 
 
