@@ -17,7 +17,7 @@ def kernels_of(tree: ast.Module) -> dict[str, bool]:
     for node in tree.body:
         for decorator in getattr(node, "decorator_list", []):
             if isinstance(decorator, ast.Call) and ast.unparse(decorator.func) == "njit":
-                found[node.name] = "INNER" in ast.unparse(decorator)
+                found[node.name] = any(option in ast.unparse(decorator) for option in ("INNER", "ONCE"))
     return found
 
 

@@ -66,7 +66,7 @@ class Work(NamedTuple):
     ring: Ring
     solver: Solver
     quadrics: ndarray  # (nV, 10)
-    refused: ndarray  # (nV,) bool: some edge of the vertex may be out of the queue
+    refused: ndarray  # (nV,) bool: whether some edge of the vertex may be out of the queue
     gradients: ndarray  # (nV, attributes, 5): `appearance.py`; no attributes for most strategies
     quadric: ndarray  # (10,) scratch: of the edge at hand
     position: ndarray  # (3,) scratch: where its merged vertex goes
