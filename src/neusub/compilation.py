@@ -18,7 +18,7 @@ COMPILED = {"cache": True, "nogil": True, "no_cfunc_wrapper": True, "error_model
 ALLOCATES = {**COMPILED, "_nrt": True}
 # For kernels that only kernels call, which saves a third of the compilation.  Called from Python they crash.
 INNER = {**COMPILED, "no_cpython_wrapper": True}
-# For large kernels that one kernel calls: written into it, as each kernel's optimiser goes over all that it calls again.
+# For large kernels that one kernel calls: written into it, as a kernel's compilation goes over all that it calls again.
 ONCE = {**INNER, "inline": "always"}
 CONTRACTED = {"fastmath": {"contract"}}  # a product and a sum may be rounded once
 
