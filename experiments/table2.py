@@ -134,9 +134,9 @@ def ratios(rows: dict) -> dict:
     return {key: {method: rows["network"][key] / rows[method][key] for method in METHODS[:-1]} for key in ("H", "M")}
 
 
-def least_and_most(text: str) -> tuple[int, int]:
-    least, most = map(int, text.split(":"))
-    return least, most
+def fewest_and_most(text: str) -> tuple[int, int]:
+    fewest, most = map(int, text.split(":"))
+    return fewest, most
 
 
 def main() -> None:
@@ -146,7 +146,7 @@ def main() -> None:
     parser.add_argument("--part", choices=tuple(PARTS), default="top")
     parser.add_argument("--epochs", type=int, help="700, or 150 of --loss surface")
     parser.add_argument("--loss", choices=("squared", "surface"), default="squared")
-    parser.add_argument("--vertices", type=least_and_most, default=VERTICES, metavar="LEAST:MOST",
+    parser.add_argument("--vertices", type=fewest_and_most, default=VERTICES, metavar="FEWEST:MOST",
                         help="of the training's coarse meshes; 150:300")
     parser.add_argument("--quick", action="store_true", help="20 pairs, 5 epochs, one pose a category; not written")
     options = parser.parse_args()
