@@ -6,7 +6,7 @@ import itertools
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
-from math import log
+from math import factorial, log
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
@@ -70,12 +70,10 @@ class Constants(NamedTuple):
     tiny: np.floating  # the smallest normal number
     to_size: np.floating  # from the sum of five lengths; 0 for a network that knows the scale
     is_silu: bool
-    powers: tuple  # 14 coefficients of the series of 2^x, highest first; single precision has zeros for the first six
+    powers: tuple  # coefficients of the series of 2^x, highest first
     log2_e: np.floating
     magic: np.floating  # a number that it is added to is rounded to an integer, which its last bits then hold
     largest: np.floating  # power of two
-    ones: ndarray  # (1,) integer: the bits of one
-    mantissa: np.integer  # bits
 
 
 def serves(groups: FlapGroups, positions: Tensor, weights: Tensor) -> bool:
@@ -145,11 +143,9 @@ class _Said(torch.autograd.Function):
         of_positions = of_vectors = of_table = None
         if reads:
             of_positions, of_vectors = summed(of_corners, len(shape.positions), 4).tensor_split([3], dim=1)
-        if len(shape.table):  # which has the first bias in it
+        if len(shape.table):
             of_table = summed(of_before, len(shape.table), 1)
-            of_weights = of_weights._replace(first_bias=None)
-        return (None, None, None, None, None, of_positions, of_vectors, of_table,
-                *(None if value is None else torch.from_numpy(value) for value in of_weights))
+        return None, None, None, None, None, of_positions, of_vectors, of_table, *map(torch.from_numpy, of_weights)
 
 
 def given_to_kernels(groups: FlapGroups, plan: Architecture, tensors: Sequence[Tensor]) -> tuple:
@@ -169,16 +165,13 @@ def array(tensor: Tensor) -> ndarray:
 
 @cache
 def constants_of(dtype: torch.dtype, is_relative: bool, is_silu: bool) -> Constants:
-    kind, integer = (np.float32, np.int32) if dtype == torch.float32 else (np.float64, np.int64)
+    kind, terms = (np.float32, 8) if dtype == torch.float32 else (np.float64, 14)
     limit = np.finfo(kind)
-    powers = [1.0]
-    for k in range(1, 14):
-        powers.append(powers[-1] * log(2) / k if k < (8 if kind is np.float32 else 14) else 0.0)
+    powers = [log(2) ** k / factorial(k) for k in reversed(range(terms))]
     return Constants(
         one=kind(1), rounding=kind((16 * limit.eps) ** 2), tiny=limit.tiny, to_size=kind(is_relative / 5),
-        is_silu=is_silu, powers=tuple(map(kind, powers[::-1])), log2_e=kind(1 / log(2)),
-        magic=kind(1.5 * 2.0**limit.nmant), largest=kind(-limit.minexp - 1), ones=np.ones(1, kind).view(integer),
-        mantissa=integer(limit.nmant))
+        is_silu=is_silu, powers=tuple(map(kind, powers)), log2_e=kind(1 / log(2)),
+        magic=kind(1.5 * 2.0**limit.nmant), largest=kind(-limit.minexp - 1))
 
 
 @cache

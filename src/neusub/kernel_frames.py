@@ -15,6 +15,7 @@ __all__ = ["MEASURES", "TURNING", "look", "look_back", "measure", "speak", "spea
 
 INNER = {**compilation.INNER, **compilation.CONTRACTED}
 
+ONE, TWO, THREE = np.uint64(1), np.uint64(2), np.uint64(3)  # unsigned indices need no look whether they count back
 MEASURES, TURNING = 4, 7  # numbers of each group that `measure` takes, and more of them for how the surface turns
 
 
@@ -118,6 +119,7 @@ def look(shape, start, rows, constants, seen, axes, sizes, defined):
     Axes of zeros for one that has no frame, and then it is not `defined`.
     """
     k, one = shape.vectors.shape[1], constants.one
+    vectors, flat = shape.vectors.reshape(-1), seen.reshape(-1)
     for r in range(rows):
         e1, e2, e3 = edges_of(shape, start + r)
         x, z, _, _, to_x, to_left, to_right, _ = frame_of(e1, e2, e3, constants)
@@ -139,10 +141,13 @@ def look(shape, start, rows, constants, seen, axes, sizes, defined):
         put(seen, r, 0, times(unit, dots(e1, x, y, z)))
         put(seen, r, 3, times(unit, dots(e2, x, y, z)))
         put(seen, r, 6, times(unit, dots(e3, x, y, z)))
+        to = np.uint64(r * seen.shape[1] + 9)
         for corner in range(4):
-            for j in range(0, k, 3):
-                w = get(shape.vectors, shape.corners[start + r, corner], j)
-                put(seen, r, 9 + corner * k + j, dots(w, x, y, z))
+            at = np.uint64(shape.corners[start + r, corner] * k)
+            for _ in range(k // 3):
+                w = vectors[at], vectors[at + ONE], vectors[at + TWO]
+                flat[to], flat[to + ONE], flat[to + TWO] = dots(w, x, y, z)
+                at, to = at + THREE, to + THREE
 
 
 @njit(**INNER)
@@ -156,6 +161,7 @@ def look_back(shape, start, rows, constants, axes, sizes, defined, of_seen, of_a
     """From the gradients of what `look` gives, those of the corners' positions and vectors, a row a half-flap."""
     k = shape.vectors.shape[1]
     width = 3 + k
+    vectors, seen, read = shape.vectors.reshape(-1), of_seen.reshape(-1), of_corners.reshape(-1)
     for r in range(rows):
         h = start + r
         if not defined[r]:
@@ -171,11 +177,15 @@ def look_back(shape, start, rows, constants, axes, sizes, defined, of_seen, of_a
         gx = plus(plus(get(of_axes, r, 0), times(s1[0], e1)), plus(times(s2[0], e2), times(s3[0], e3)))
         gy = plus(plus(get(of_axes, r, 3), times(s1[1], e1)), plus(times(s2[1], e2), times(s3[1], e3)))
         gz = plus(plus(get(of_axes, r, 6), times(s1[2], e1)), plus(times(s2[2], e2), times(s3[2], e3)))
+        of, to = np.uint64(r * of_seen.shape[1] + 9), np.uint64(h * 4 * width)
         for corner in range(4):
-            for j in range(0, k, 3):
-                w, s = get(shape.vectors, shape.corners[h, corner], j), get(of_seen, r, 9 + corner * k + j)
+            at, to = np.uint64(shape.corners[h, corner] * k), to + THREE
+            for _ in range(k // 3):
+                w = vectors[at], vectors[at + ONE], vectors[at + TWO]
+                s = seen[of], seen[of + ONE], seen[of + TWO]
                 gx, gy, gz = plus(gx, times(s[0], w)), plus(gy, times(s[1], w)), plus(gz, times(s[2], w))
-                put(of_corners, h, corner * width + 3 + j, combined(s, x, y, z))
+                read[to], read[to + ONE], read[to + TWO] = combined(s, x, y, z)
+                at, of, to = at + THREE, of + THREE, to + THREE
         gx, gz = plus(gx, cross(gy, z)), plus(gz, cross(x, gy))  # y = z cross x
         g1 = plus(combined(s1, x, y, z), through_unit(gx, x, to_x))
         g2, g3 = combined(s2, x, y, z), combined(s3, x, y, z)

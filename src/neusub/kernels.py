@@ -12,7 +12,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
+from llvmlite import ir
+from numba import njit, types
+from numba.extending import intrinsic
 from numpy import ndarray
 
 from neusub import compilation
@@ -29,32 +31,37 @@ INNER_ALLOCATES = {**INNER, "_nrt": True}
 # --- layers ------------------------------------------------------------------------------------------------------
 
 
-@njit(**INNER)
-def sigmoids(values, constants, scales, results):
-    """1 / (1 + 2^-(x log2 e)): the power's integer part as bits of an exponent, the rest by its series."""
-    one, magic, largest = constants.one, constants.magic, constants.largest
-    c0, c1, c2, c3, c4, c5, c6, c7, c8, c9, c10, c11, c12, c13 = constants.powers
-    shifted, bits = results.view(constants.ones.dtype), scales.view(constants.ones.dtype)
-    for i in range(len(values)):
-        results[i] = min(max(-values[i] * constants.log2_e, -largest), largest) + magic
-    for i in range(len(values)):
-        bits[i] = (shifted[i] << constants.mantissa) + constants.ones[0]
-    for i in range(len(values)):
-        x = min(max(-values[i] * constants.log2_e, -largest), largest) - (results[i] - magic)
-        p = ((((((c0 * x + c1) * x + c2) * x + c3) * x + c4) * x + c5) * x + c6) * x + c7
-        p = (((((p * x + c8) * x + c9) * x + c10) * x + c11) * x + c12) * x + c13
-        results[i] = one / (one + p * scales[i])
+@intrinsic
+def two_to(_, value):
+    """2^n for a float whose last bits hold the integer n (see `Constants.magic`): they become its exponent."""
+    integer, mantissa, one = (ir.IntType(64), 52, 0x3FF << 52) if value == types.float64 else \
+        (ir.IntType(32), 23, 0x7F << 23)
+
+    def bits(context, builder, signature, arguments):
+        exponent = builder.shl(builder.bitcast(arguments[0], integer), integer(mantissa))
+        return builder.bitcast(builder.add(exponent, integer(one)), context.get_value_type(signature.return_type))
+
+    return value(value), bits
 
 
 @njit(**INNER)
 def activate(values, constants, gates, results):
-    """relu or silu of flat arrays, and what of each value passes: 0 or 1, or its sigmoid."""
-    if constants.is_silu:
-        sigmoids(values, constants, results, gates)
-    else:
+    """relu or silu of flat arrays, and what of each value passes: 0 or 1, or its sigmoid 1 / (1 + 2^-(x log2 e)), of
+    which the power's integer part is an exponent, the rest a series."""
+    one, zero, magic, largest = constants.one, constants.one - constants.one, constants.magic, constants.largest
+    if not constants.is_silu:
         for i in range(len(values)):
-            gates[i] = constants.one if values[i] > 0 else constants.one - constants.one
+            gates[i] = one if values[i] > 0 else zero
+            results[i] = values[i] * gates[i]
+        return
     for i in range(len(values)):
+        power = min(max(-values[i] * constants.log2_e, -largest), largest)
+        shifted = power + magic
+        rest = power - (shifted - magic)
+        series = constants.powers[0]
+        for c in constants.powers[1:]:
+            series = series * rest + c
+        gates[i] = one / (one + series * two_to(shifted))  # type: ignore[call-arg]
         results[i] = values[i] * gates[i]
 
 
@@ -94,7 +101,7 @@ def leave_out(defined, rows, values):
 
 @njit(**INNER)
 def add_features(shape, start, rows, bias, results):
-    """To the first layer, what comes from the features of the corners, or nothing but its bias."""
+    """To the first layer, its bias and what comes from the features of the corners, if there are any."""
     corners, table = shape.corners, shape.table
     if len(table) == 0:
         add_row(bias, rows, results)
@@ -103,7 +110,7 @@ def add_features(shape, start, rows, bias, results):
         h = start + r
         a, b, c, d = 4 * corners[h, 0], 4 * corners[h, 1] + 1, 4 * corners[h, 2] + 2, 4 * corners[h, 3] + 3
         for j in range(results.shape[1]):
-            results[r, j] += table[a, j] + table[b, j] + table[c, j] + table[d, j]
+            results[r, j] += bias[j] + table[a, j] + table[b, j] + table[c, j] + table[d, j]
 
 
 class Block(NamedTuple):
@@ -192,7 +199,7 @@ def add_of_groups(offsets, i, end, of_groups, results):
 def backwards(shape, layers, transposed, constants, capacity, reads, first, last, of_sums, of_hidden, of_corners,
               of_before, of_layers):
     """The gradients of `forwards`: of what each half-flap reads of its corners (if `reads`), of its first layer before
-    the activation, and, added up, of the layers; the first bias for a module without a table."""
+    the activation, and, added up, of the layers."""
     offsets = shape.offsets
     block = new_block(capacity, layers)
     of_local, of_axes, of_seen = np.empty_like(block.local), np.empty_like(block.axes), np.empty_like(block.seen)
@@ -226,21 +233,16 @@ def backwards(shape, layers, transposed, constants, capacity, reads, first, last
 
 @njit(**INNER_ALLOCATES)
 def add_outer(a, b, rows, products, sums):
-    """Over the rows, the products of a's columns with b's, and the sums of a's."""
-    product = np.empty_like(products)
+    """Over the rows, the products of a's columns with b's, and the sums of a's: of a block by itself first, which keeps
+    the rounding of long sums down."""
+    product, total = np.empty_like(products), np.zeros_like(sums)
     np.dot(a[:rows].T, b[:rows], product)
     add(product, len(product), products)
-    add_rows(a, rows, sums)
-
-
-@njit(**INNER)
-def add_rows(values, rows, sums):
-    """A block by itself first, which keeps the rounding of long sums down."""
-    for j in range(len(sums)):
-        total = sums[j] - sums[j]
-        for r in range(rows):
-            total += values[r, j]
-        sums[j] += total
+    for r in range(rows):
+        for j in range(len(total)):
+            total[j] += a[r, j]
+    for j in range(len(total)):
+        sums[j] += total[j]
 
 
 @njit(**COMPILED)

@@ -20,7 +20,7 @@ from typing import NamedTuple
 import torch
 from jaxtyping import Float
 from torch import Tensor, nn
-from torch.nn.functional import linear, pad, relu, silu
+from torch.nn.functional import linear, relu, silu
 
 from neusub import compiled
 from neusub.bounds import (
@@ -96,7 +96,7 @@ class HalfFlapMLP(nn.Module):
         table, vectors = values
         if table is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
             fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
-            table = linear(table, fixed, pad(self.first.bias, (0, 3 * self.plan.width))).view(-1, self.plan.width)
+            table = linear(table, fixed).view(-1, self.plan.width)
         measures = None if self.bound is None and not self.plan.flat and not self.plan.sharp else \
             "all" if around is None else "no turning"
         if compiled.serves(groups, positions, self.first.weight):
@@ -141,12 +141,13 @@ def said_by_tensors(
     axes, defined = local_frames(edges)
     size = sizes(squared_lengths(edges)) if plan.relative else None
     seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
-    hidden = layers.first_bias.repeat(len(seen), 1) if table is None else sum_slots(groups, table)
-    turned = layers.first.to(hidden.dtype).T  # in mixed precision
-    hidden.addmm_(seen.to(hidden.dtype), turned[:9])
+    hidden = linear(seen, layers.first[:, :9], layers.first_bias)
+    if table is not None:
+        hidden += sum_slots(groups, table)
     if vectors is not None:
         seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
-        hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned[9:])
+        seen, columns = in_frames(seen, axes).T, layers.first[:, 9:].T
+        hidden.addmm_(seen.to(hidden.dtype), columns.to(hidden.dtype))  # in mixed precision
     hidden = linear(activate(hidden, inplace=spare), layers.hidden, layers.hidden_bias)
     hidden = activate(hidden, inplace=spare)
     count = groups.offsets.diff().to(hidden.dtype)[:, None]
