@@ -9,7 +9,7 @@ import torch
 import neusub.compiled
 import shapes
 from neusub.bounds import Measures, measured
-from neusub.compiled import serves
+from neusub.compiled import Weights, serves
 from neusub.configuration import PRESETS, Architecture
 from neusub.frames import edge_vectors, local_frames
 from test_network import bumpy, flaps_of, random_network
@@ -106,6 +106,16 @@ def test_what_changed_since_it_was_used_raises_an_error():
         out.sum().backward()
 
 
+def test_a_network_that_was_used_can_learn(monkeypatch):
+    monkeypatch.setattr(neusub.compiled, "serves", lambda *_: False)
+    vertices, faces = SHAPES["torus"]()
+    network = random_network(features=13)  # of a size that no other test has, for what is kept by size
+    with torch.inference_mode():
+        network(torch.tensor(vertices), flaps_of(faces, len(vertices)))
+    network(torch.tensor(vertices), flaps_of(faces, len(vertices)))[-1].sum().backward()
+    assert all(part.grad is not None for part in network.parameters())
+
+
 def test_second_derivatives_raise_an_error():
     vertices, faces = SHAPES["torus"]()
     start = torch.tensor(vertices, requires_grad=True)
@@ -138,11 +148,10 @@ def test_measures_are_those_of_tensors(shape):
     edges = edge_vectors(groups, positions)
     axes, defined = local_frames(edges)
     wanted = measured(groups, edges, torch.where(defined, axes, 0), True)
-    network = random_network()
-    layers = neusub.compiled.Layers(network.initial.first.weight[:, :9].contiguous(), network.initial.first.bias,
-                                    network.initial.hidden.weight, network.initial.hidden.bias,
-                                    network.initial.last.weight[:3], network.initial.last.bias[:3])
-    said = neusub.compiled.said(groups, positions, None, None, layers, Architecture(sharp=0.03), False, "all")
+    weights = random_network().initial
+    parts = [part for layer in (weights.first, weights.hidden, weights.last) for part in (layer.weight, layer.bias)]
+    said = neusub.compiled.said(groups, positions, torch.zeros(len(positions), 3), None, Weights(*parts),
+                                Architecture(sharp=0.03), False, "all")
     for name, a, b in zip(Measures._fields, wanted, said.measures):
         np.testing.assert_allclose(b, a, rtol=1e-9, atol=1e-12, err_msg=name)
 

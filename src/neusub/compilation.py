@@ -25,7 +25,8 @@ CONTRACTED = {"fastmath": {"contract"}}  # a product and a sum may be rounded on
 
 def announce(kernel: Any, what: str) -> None:
     """Say so where a kernel is about to be compiled, once on a machine, which takes some seconds."""
+    if kernel.signatures:
+        return
     module = kernel.py_func.__module__.rpartition(".")[2]
-    cached = Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")
-    if not kernel.signatures and not any(cached):
+    if not any(Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")):
         logging.getLogger("neusub").warning(f"neusub: compiling {what}, once on this machine ...")

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import itertools
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
 from math import factorial, log
@@ -31,24 +31,36 @@ PRODUCT = 1 << 18  # multiplications of a product of matrices that BLAS does in 
 Measuring = Literal["all", "no turning"] | None  # which `Measures` are wanted
 
 
-class Layers(NamedTuple):
-    """A module's weights and biases; the first layer's without its columns for features."""
+class Weights(NamedTuple):
+    """Of a module.  The first layer's columns go vertex by vertex: features of v0, vectors of v0, e1, those of v1, e2,
+    those of v2, e3, those of v3; the last layer's rows: displacement, vectors, features."""
 
-    first: Float[Tensor, "width 9+12*k"]  # edges, then vectors of the corners
+    first: Float[Tensor, "width 9+4*(c+3*k)"]
     first_bias: Float[Tensor, " width"]
     hidden: Float[Tensor, "width width"]
     hidden_bias: Float[Tensor, " width"]
-    last: Float[Tensor, "3*j width"]  # vectors only, of which the first is the displacement
-    last_bias: Float[Tensor, " 3*j"]
+    last: Float[Tensor, "3+3*k+c width"]
+    last_bias: Float[Tensor, " 3+3*k+c"]
 
 
 class Said(NamedTuple):
-    """Sums over each group's half-flaps."""
+    """Means over each group's half-flaps that have a frame."""
 
-    vectors: Float[Tensor, "m 3*j"]  # in the axes of the positions
-    hidden: Float[Tensor, "m width"] | None  # the last hidden layer
-    count: Float[Tensor, "m 1"]  # half-flaps that have a frame; at least 1
+    move: Float[Tensor, "m 3"]  # this and the vectors in the axes of the positions
+    vectors: Float[Tensor, "m 3*k"] | None
+    features: Float[Tensor, "m c"] | None
     measures: Measures | None
+
+
+class Layers(NamedTuple):
+    """What kernels take of `Weights`."""
+
+    first: ndarray  # (width, 9 + 12 k): edges, then vectors of the corners
+    first_bias: ndarray
+    hidden: ndarray
+    hidden_bias: ndarray
+    last: ndarray  # (3 + 3 k, width), or (3, width) where only the displacement is asked for
+    last_bias: ndarray
 
 
 class Shape(NamedTuple):
@@ -85,78 +97,115 @@ def serves(groups: FlapGroups, positions: Tensor, weights: Tensor) -> bool:
 
 def said(
     groups: FlapGroups, positions: Float[Tensor, "nV 3"], vectors: Float[Tensor, "nV 3*k"] | None,
-    table: Float[Tensor, "4*nV c"] | None, layers: Layers, plan: Architecture, learns: bool, measures: Measuring,
+    features: Float[Tensor, "nV c"] | None, weights: Weights, plan: Architecture, learns: bool, measures: Measuring,
 ) -> Said:
     """As `network.said_by_tensors`."""
-    vectors = positions.new_empty(len(positions), 0) if vectors is None else vectors
-    table = positions.new_empty(0, plan.width) if table is None else table
+    vectors, features = (positions.new_empty(len(positions), 0) if x is None else x for x in (vectors, features))
     turning = measures == "all" and plan.sharp > 0
-    spoken, hidden, count, rows = _Said.apply(groups, plan, learns, measures is not None, turning, positions, vectors,
-                                              table, *layers)
+    move, told, learned, rows = _Said.apply(groups, plan, learns, measures is not None, turning, positions, vectors,
+                                            features, *weights)
     found = None if measures is None else Measures(rows[0], rows[1], rows[2], rows[3], rows[4:] if turning else None)
-    return Said(spoken, hidden if learns else None, count, found)
+    return Said(move, told if told.shape[1] else None, learned if learns else None, found)
 
 
 class _Said(torch.autograd.Function):
     @staticmethod
     def forward(ctx, groups: FlapGroups, plan: Architecture, learns: bool, measures: bool, turning: bool,
-                *tensors: Tensor):
-        """tensors: positions, vectors, table, then the layers."""
+                positions: Tensor, vectors: Tensor, features: Tensor, *tensors: Tensor):
         from neusub import kernel_frames, kernels
 
         announce(kernels.forwards, "the network's kernels")
-        m, positions = len(groups.offsets) - 1, tensors[0]
-        fixed = given_to_kernels(groups, plan, tensors)
+        m, weights, asked = len(groups.offsets) - 1, Weights(*tensors), 3 + 3 * plan.vectors * learns
+        table = positions.new_empty(0, plan.width)
+        if features.shape[1]:
+            table = features @ for_table(weights.first, features.shape[1], vectors.shape[1]).T
+            table = table.view(-1, plan.width)
+        fixed = given_to_kernels(groups, plan, positions, vectors, features, table, weights, asked)
         n_measures = measures * kernel_frames.MEASURES + turning * kernel_frames.TURNING
-        results = [positions.new_empty(size) for size in (
-            (m, len(tensors[-1])), (m, plan.width if learns else 0), (m, 1), (n_measures, m))]
+        told, hidden, count, rows = results = [positions.new_empty(size) for size in (
+            (m, asked), (m, plan.width if learns else 0), (m, 1), (n_measures, m))]
         in_parts(kernels.forwards, fixed, m, len(groups.corners), *map(array, results))
-        ctx.groups, ctx.plan = groups, plan
-        ctx.save_for_backward(*tensors)
-        ctx.mark_non_differentiable(*results[2:])
-        return tuple(results)
+        learned = hidden
+        if learns:  # the last layer is linear: the mean of its features is its value at the mean
+            learned = torch.addmm(weights.last_bias[asked:], hidden, weights.last[asked:].T)
+        ctx.groups, ctx.plan, ctx.learns = groups, plan, learns
+        ctx.save_for_backward(positions, vectors, features, table, hidden, count, *tensors)
+        ctx.mark_non_differentiable(rows)
+        return told[:, :3], told[:, 3:], learned, rows
 
     @staticmethod
     @once_differentiable
-    def backward(ctx, of_vectors, of_hidden, *_):  # type: ignore[override]
+    def backward(ctx, of_move, of_told, of_learned, _):  # type: ignore[override]
         from neusub import kernels
 
         announce(kernels.backwards, "the network's kernels for learning")
-        groups = ctx.groups
-        fixed = given_to_kernels(groups, ctx.plan, ctx.saved_tensors)
-        shape, weights = fixed[:2]
-        reads = any(ctx.needs_input_grad[5:7])
-        n, m, dtype = len(shape.corners), len(shape.offsets) - 1, shape.positions.dtype
-        of_corners = np.empty((4 * n if reads else 0, 3 + shape.vectors.shape[1]), dtype)
-        of_before = np.empty((n, shape.table.shape[1]), dtype)
-        shares = in_parts(kernels.backwards, (*fixed, reads), m, n, array(of_vectors), array(of_hidden),
-                          of_corners.reshape(-1, 4 * of_corners.shape[1]), of_before,
-                          own=lambda: Layers(*map(np.zeros_like, weights)))
-        of_weights = Layers(*map(sum, zip(*shares)))  # type: ignore[arg-type]
+        positions, vectors, features, table, hidden, count, *tensors = ctx.saved_tensors
+        groups, plan, weights = ctx.groups, ctx.plan, Weights(*tensors)
+        of_weights = Weights(*map(torch.zeros_like, weights))
+        asked, of_hidden = 3 + of_told.shape[1], hidden
+        if ctx.learns:
+            of_hidden = (of_learned @ weights.last[asked:]) / count
+            of_weights.last[asked:] = of_learned.T @ hidden
+            of_weights.last_bias[asked:] = of_learned.sum(0)
+        fixed = given_to_kernels(groups, plan, positions, vectors, features, table, weights, asked)
+        reads, n = any(ctx.needs_input_grad[5:7]), len(groups.corners)
+        of_corners = positions.new_empty(4 * n if reads else 0, 3 + vectors.shape[1])
+        of_before = positions.new_empty(n, plan.width)
+        shares = in_parts(kernels.backwards, (*fixed, reads), len(hidden), n,
+                          array(torch.cat([of_move, of_told], 1) / count), array(of_hidden),
+                          array(of_corners.view(-1, 4 * of_corners.shape[1])), array(of_before),
+                          own=lambda: Layers(*map(np.zeros_like, fixed[1])))
+        of_layers = Weights(*map(torch.from_numpy, map(sum, zip(*shares))))
         order, _, starts = map(array, groups.readers)
 
-        def summed(values: ndarray, rows: int, stride: int) -> Tensor:
-            sums = np.zeros((rows, values.shape[1]), dtype)
-            in_parts(kernels.sum_corners, (values, order, starts, stride), (len(starts) - 1) // stride, n, sums)
-            return torch.from_numpy(sums)
+        def summed(values: Tensor, rows: int, stride: int) -> Tensor:
+            sums = values.new_zeros(rows, values.shape[1])
+            in_parts(kernels.sum_corners, (array(values), order, starts, stride), (len(starts) - 1) // stride, n,
+                     array(sums))
+            return sums
 
-        of_positions = of_vectors = of_table = None
+        of_positions = of_vectors = of_features = None
         if reads:
-            of_positions, of_vectors = summed(of_corners, len(shape.positions), 4).tensor_split([3], dim=1)
-        if len(shape.table):
-            of_table = summed(of_before, len(shape.table), 1)
-        return None, None, None, None, None, of_positions, of_vectors, of_table, *map(torch.from_numpy, of_weights)
+            of_positions, of_vectors = summed(of_corners, len(positions), 4).tensor_split([3], dim=1)
+        local, corners = columns(features.shape[1], vectors.shape[1])
+        if features.shape[1]:
+            of_table = summed(of_before, 4 * len(positions), 1).view(len(positions), -1)
+            if ctx.needs_input_grad[7]:
+                of_features = of_table @ for_table(weights.first, features.shape[1], vectors.shape[1])
+            of_weights.first[:, corners] = (of_table.T @ features).view(4, plan.width, -1).transpose(0, 1).flatten(1)
+        of_weights.first[:, local] = of_layers.first
+        for part, of_layer in zip(of_weights[1:], of_layers[1:]):
+            part[: len(of_layer)] = of_layer
+        return None, None, None, None, None, of_positions, of_vectors, of_features, *of_weights
 
 
-def given_to_kernels(groups: FlapGroups, plan: Architecture, tensors: Sequence[Tensor]) -> tuple:
-    """What kernels are given first: the shape, the layers, the same transposed, constants, and the rows of a block."""
-    arrays = [array(tensor) for tensor in tensors]
-    missing = np.empty((2, 0), bool) if groups.missing is None else array(groups.missing)
-    layers = Layers(*arrays[3:])  # type: ignore[arg-type]
-    transposed = Layers(*(np.ascontiguousarray(value.T) for value in layers))  # type: ignore[arg-type]
-    rows = max(int(groups.offsets.diff().max()), min(ROWS, PRODUCT // (plan.width * max(layers.first.shape))))
-    return (Shape(arrays[0], arrays[1], arrays[2], array(groups.corners), missing, array(groups.offsets)), layers,
-            transposed, constants_of(tensors[0].dtype, plan.relative, plan.activation == "silu"), rows)
+@cache
+def columns(features: int, vectors: int, device: torch.device | str = "cpu") -> tuple[Tensor, Tensor]:
+    """Of the first layer: its columns for edges and then for the corners' vectors, and those for their features."""
+    corner = features + vectors
+    with torch.inference_mode(False):  # or gradients could not go through what is kept
+        starts = torch.arange(4, device=device)[:, None] * (corner + 3)
+        of_features, of_vectors, of_edges = (starts + torch.arange(corner + 3, device=device)).tensor_split(
+            [features, corner], dim=1)
+        return torch.cat([of_edges[:3].flatten(), of_vectors.flatten()]), of_features.flatten()
+
+
+def for_table(first: Tensor, features: int, vectors: int) -> Float[Tensor, "4*width c"]:
+    """What takes a vertex's features through the first layer: into a row for each corner that it may be."""
+    corners = first.index_select(1, columns(features, vectors, first.device)[1])
+    return corners.view(-1, 4, features).transpose(0, 1).reshape(-1, features)
+
+
+def given_to_kernels(groups: FlapGroups, plan: Architecture, positions: Tensor, vectors: Tensor, features: Tensor,
+                     table: Tensor, weights: Weights, asked: int) -> tuple:
+    """What kernels are given first: the shape, the layers (`asked` rows of the last one), the same transposed,
+    constants, and the rows of a block."""
+    first = weights.first.detach().index_select(1, columns(features.shape[1], vectors.shape[1])[0])
+    layers = Layers(*map(array, (first, *weights[1:4], weights.last[:asked], weights.last_bias[:asked])))
+    transposed = Layers(*(np.ascontiguousarray(value.T) for value in layers))
+    rows = max(groups.largest, min(ROWS, PRODUCT // (plan.width * max(layers.first.shape))))
+    return (Shape(array(positions), array(vectors), array(table), *groups.arrays), layers, transposed,
+            constants_of(positions.dtype, plan.relative, plan.activation == "silu"), rows)
 
 
 def array(tensor: Tensor) -> ndarray:

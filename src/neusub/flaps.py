@@ -50,6 +50,17 @@ class FlapGroups:
             yield FlapGroups(self.corners[rows], missing, self.offsets[a : b + 1] - start)
             a = b
 
+    @cached_property
+    def arrays(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """corners, missing (2, 0 for a closed mesh) and offsets, for kernels."""
+        missing = np.empty((2, 0), bool) if self.missing is None else self.missing.contiguous().numpy()
+        return self.corners.contiguous().numpy(), missing, self.offsets.contiguous().numpy()
+
+    @cached_property
+    def largest(self) -> int:
+        """Half-flaps of the largest group."""
+        return int(self.offsets.diff().max())
+
     # Transposes, for gradients only: which rows read a given vertex, and which group reads a given row.
 
     @cached_property

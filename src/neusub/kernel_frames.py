@@ -212,13 +212,14 @@ def look_back(shape, start, rows, constants, axes, sizes, defined, of_seen, of_a
 
 
 @njit(**INNER)
-def speak(offsets, i, end, constants, block, sums, hidden, counts):
-    """Of the groups i .. end - 1, the sums of a block's vectors, out of their frames, and of its hidden layer."""
+def speak(offsets, i, end, constants, block, means, hidden, counts):
+    """Of the groups i .. end - 1, the means of a block's vectors, out of their frames, and of its hidden layer; over
+    the half-flaps that have a frame, and how many these are, at least 1."""
     axes, local, values = block.axes, block.local, block.after_2
     start = offsets[i]
     for g in range(i, end):
-        for j in range(sums.shape[1]):
-            sums[g, j] = 0
+        for j in range(means.shape[1]):
+            means[g, j] = 0
         for j in range(hidden.shape[1]):
             hidden[g, j] = 0
         counts[g, 0] = 0
@@ -226,14 +227,18 @@ def speak(offsets, i, end, constants, block, sums, hidden, counts):
             if block.defined[r]:
                 counts[g, 0] += 1
             x, y, z = get(axes, r, 0), get(axes, r, 3), get(axes, r, 6)
-            for j in range(0, sums.shape[1], 3):
+            for j in range(0, means.shape[1], 3):
                 a = combined(get(local, r, j), x, y, z)
                 if j == 0 and constants.to_size > 0:
                     a = times(block.sizes[r], a)
-                put(sums, g, j, plus(get(sums, g, j), a))
+                put(means, g, j, plus(get(means, g, j), a))
             for j in range(hidden.shape[1]):
                 hidden[g, j] += values[r, j]
-        counts[g, 0] = max(counts[g, 0], constants.one)
+        count = counts[g, 0] = max(counts[g, 0], constants.one)
+        for j in range(means.shape[1]):
+            means[g, j] /= count
+        for j in range(hidden.shape[1]):
+            hidden[g, j] /= count
 
 
 @njit(**INNER)

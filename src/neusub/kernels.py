@@ -171,8 +171,8 @@ def groups_from(offsets, i, last, capacity):
 
 
 @njit(**ALLOCATES)
-def forwards(shape, layers, transposed, constants, capacity, first, last, sums, hidden, counts, measures):
-    """Of the groups first .. last - 1: the sums of what their half-flaps say, vectors in the axes of the positions and
+def forwards(shape, layers, transposed, constants, capacity, first, last, means, hidden, counts, measures):
+    """Of the groups first .. last - 1: the means of what their half-flaps say, vectors in the axes of the positions and
     the hidden layer; the number of half-flaps with a frame; and, unless it is empty, what `measure` takes."""
     block = new_block(capacity, layers)
     i = first
@@ -180,7 +180,7 @@ def forwards(shape, layers, transposed, constants, capacity, first, last, sums, 
         end = groups_from(shape.offsets, i, last, capacity)
         start = shape.offsets[i]
         through_layers(shape, layers, transposed, constants, start, shape.offsets[end] - start, block)
-        speak(shape.offsets, i, end, constants, block, sums, hidden, counts)
+        speak(shape.offsets, i, end, constants, block, means, hidden, counts)
         if len(measures) > 0:
             measure(shape, i, end, constants, block.axes, measures)
         i = end

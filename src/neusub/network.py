@@ -15,7 +15,7 @@ Vectors of half-flaps are stored (3, n), one row a coordinate.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from jaxtyping import Float
@@ -24,6 +24,7 @@ from torch.nn.functional import linear, relu, silu
 
 from neusub import compiled
 from neusub.bounds import (
+    Measures,
     area_normals,
     around_edges,
     around_vertices,
@@ -33,7 +34,7 @@ from neusub.bounds import (
     settled,
     unturned,
 )
-from neusub.compiled import Layers, Measuring, Said
+from neusub.compiled import Measuring, Said, Weights, columns, for_table
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, pool, sum_slots
 from neusub.frames import (
@@ -88,78 +89,88 @@ class HalfFlapMLP(nn.Module):
     ) -> tuple[Float[Tensor, "m 3"], Values, Float[Tensor, "m k"] | None]:
         """Mean displacement of each group, in the axes of `positions`, its mean features and vectors (`learns`), and,
         where displacements depend on it, what is `around` it (`bounds.py`): its vertex, or the two ends of its edge."""
-        corner, given = self.features + 3 * self.vectors, 3 + 3 * self.plan.vectors if learns else 3
-        columns = self.first.weight.split([corner, 3] * 3 + [corner], dim=1)
-        layers = Layers(torch.cat([*columns[1::2], *(c[:, self.features :] for c in columns[::2])], dim=1),
-                        self.first.bias, self.hidden.weight, self.hidden.bias, self.last.weight[:given],
-                        self.last.bias[:given])
-        table, vectors = values
-        if table is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
-            fixed = torch.cat([column[:, : self.features] for column in columns[::2]])
-            table = linear(table, fixed).view(-1, self.plan.width)
         measures = None if self.bound is None and not self.plan.flat and not self.plan.sharp else \
             "all" if around is None else "no turning"
-        if compiled.serves(groups, positions, self.first.weight):
-            said, parts = compiled.said, [groups]
-        else:
-            said, parts = said_by_tensors, groups.chunks(self.plan.width) if not torch.is_grad_enabled() else [groups]
-            positions, vectors = by_columns(positions), None if vectors is None else by_columns(vectors)
-        around = None if around is None else by_columns(around)
-        results = [self._means(part, said(part, positions, vectors, table, layers, self.plan, learns, measures), around)
-                   for part in parts]
-        moves, features, vectors, around = (rows[0] if rows[0] is None or len(rows) == 1 else torch.cat(rows)
-                                            for rows in zip(*results))
-        return moves, Values(features, vectors), around  # type: ignore[return-value]
-
-    def _means(self, groups: FlapGroups, said: Said, around: Tensor | None):
-        """Of groups, from what their half-flaps said: displacement, features, vectors, and what is around."""
-        move, vectors = (said.vectors / said.count).tensor_split([3], dim=1)
-        features = None
-        if said.hidden is not None:  # the last layer is linear: the mean of its features is its value at the mean
-            given = said.vectors.shape[1]
-            features = linear(said.hidden / said.count, self.last.weight[given:], self.last.bias[given:])
-        if (measures := said.measures) is not None:
-            around = around_edges(groups, around) if around is not None else \
-                around_vertices(groups, measures, self.plan.sharp)
-            heights = around[:, 0].contiguous()
-            if self.plan.sharp:
-                move = move * around[:, -1:]
-            if self.plan.flat:
-                move = move * flattened(heights, measures.size, self.plan.flat)[:, None]
-            if self.bound is not None:
-                move = bounded(move, measures, heights, self.bound)
-        return move, features, vectors if vectors.shape[1] else None, around
+        weights = Weights(self.first.weight, self.first.bias, self.hidden.weight, self.hidden.bias, self.last.weight,
+                          self.last.bias)
+        say = compiled.said if compiled.serves(groups, positions, self.first.weight) else said_by_tensors
+        said = say(groups, positions, values.vectors, values.features, weights, self.plan, learns, measures)
+        move, told = said.move, Values(said.features, said.vectors)
+        if said.measures is None:
+            return move, told, None
+        around = around_vertices(groups, said.measures, self.plan.sharp) if around is None else \
+            around_edges(groups, by_columns(around))
+        heights = around[:, 0].contiguous()
+        if self.plan.sharp:
+            move = move * around[:, -1:]
+        if self.plan.flat:
+            move = move * flattened(heights, said.measures.size, self.plan.flat)[:, None]
+        if self.bound is not None:
+            move = bounded(move, said.measures, heights, self.bound)
+        return move, told, around
 
 
 def said_by_tensors(
     groups: FlapGroups, positions: Float[Tensor, "nV 3"], vectors: Float[Tensor, "nV 3*k"] | None,
-    table: Float[Tensor, "4*nV c"] | None, layers: Layers, plan: Architecture, learns: bool, measures: Measuring,
+    features: Float[Tensor, "nV c"] | None, weights: Weights, plan: Architecture, learns: bool, measures: Measuring,
 ) -> Said:
-    """The MLP on each half-flap in its frame; on any device.  `compiled.said` does the same on a CPU, faster."""
+    """The MLP on each half-flap in its frame, and the means over groups; on any device.
+
+    `compiled.said` does the same on a CPU, faster."""
+    table, count = None, [0 if x is None else x.shape[1] for x in (features, vectors)]
+    if features is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
+        table = linear(features, for_table(weights.first, *count)).view(-1, plan.width)
+    local = weights.first.index_select(1, columns(*count, positions.device)[0])
+    parts = [groups] if torch.is_grad_enabled() else groups.chunks(plan.width)
+    positions, vectors = by_columns(positions), None if vectors is None else by_columns(vectors)
+    return joined([said_of_part(part, positions, vectors, table, local, weights, plan, learns, measures)
+                   for part in parts])
+
+
+def joined(parts: list[Said]) -> Said:
+    """What one run of groups after the other said."""
+    if len(parts) == 1:
+        return parts[0]
+
+    def whole(rows: Sequence[Tensor | None], dim: int) -> Any:
+        return None if rows[0] is None else torch.cat(rows, dim)  # type: ignore[arg-type]
+
+    move, vectors, features, measures = zip(*parts)
+    found = None if measures[0] is None else Measures(*(whole(rows, -1) for rows in zip(*measures)))
+    return Said(whole(move, 0), whole(vectors, 0), whole(features, 0), found)
+
+
+def said_of_part(
+    groups: FlapGroups, positions: Tensor, vectors: Tensor | None, table: Float[Tensor, "4*nV width"] | None,
+    local: Float[Tensor, "width 9+12*k"], weights: Weights, plan: Architecture, learns: bool, measures: Measuring,
+) -> Said:
     activate = {"relu": relu, "silu": silu}[plan.activation]
     edges = edge_vectors(groups, positions)
     axes, defined = local_frames(edges)
     size = sizes(squared_lengths(edges)) if plan.relative else None
     seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
-    hidden = linear(seen, layers.first[:, :9], layers.first_bias)
+    hidden = linear(seen, local[:, :9], weights.first_bias)
     if table is not None:
         hidden += sum_slots(groups, table)
     if vectors is not None:
-        seen = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1)
-        seen, columns = in_frames(seen, axes).T, layers.first[:, 9:].T
-        hidden.addmm_(seen.to(hidden.dtype), columns.to(hidden.dtype))  # in mixed precision
-    hidden = linear(activate(hidden, inplace=spare), layers.hidden, layers.hidden_bias)
+        seen, turned = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1), local[:, 9:].T
+        hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned.to(hidden.dtype))  # in mixed precision
+    hidden = linear(activate(hidden, inplace=spare), weights.hidden, weights.hidden_bias)
     hidden = activate(hidden, inplace=spare)
     count = groups.offsets.diff().to(hidden.dtype)[:, None]
     if not defined.all():  # half-flaps without a frame are left out of the mean
         hidden = hidden * defined[:, None]
         axes = torch.where(defined, axes, 0)
         count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)
-    local = torch.addmm(layers.last_bias[:, None], layers.last, hidden.T).unflatten(0, (-1, 3))
+    asked = 3 + 3 * plan.vectors * learns
+    told = torch.addmm(weights.last_bias[:asked, None], weights.last[:asked], hidden.T).unflatten(0, (-1, 3))
     if size is not None:
-        local[0].mul_(size)
-    spoken = pool(groups, in_frames(local, axes.transpose(0, 1)).T.contiguous())
-    return Said(spoken, pool(groups, hidden) if learns else None, count,
+        told[0].mul_(size)
+    told = pool(groups, in_frames(told, axes.transpose(0, 1)).T.contiguous()) / count
+    features = None
+    if learns:  # the last layer is linear: the mean of its features is its value at the mean
+        features = linear(pool(groups, hidden) / count, weights.last[asked:], weights.last_bias[asked:])
+    return Said(told[:, :3], told[:, 3:] if asked > 3 else None, features,
                 None if measures is None else measured(groups, edges, axes, measures == "all" and plan.sharp > 0))
 
 
