@@ -144,6 +144,7 @@ def said_of_part(
     groups: FlapGroups, positions: Tensor, vectors: Tensor | None, table: Float[Tensor, "4*nV width"] | None,
     local: Float[Tensor, "width 9+12*k"], weights: Weights, plan: Architecture, learns: bool, measures: Measuring,
 ) -> Said:
+    """A run of groups; `table` and `local` are what `for_table` and `columns` make of the first layer."""
     activate = {"relu": relu, "silu": silu}[plan.activation]
     edges = edge_vectors(groups, positions)
     axes, defined = local_frames(edges)
