@@ -26,6 +26,7 @@ from neusub.crossing import uncrossed
 from neusub.errors import ModelError
 from neusub.files import replacing
 from neusub.flaps import level_flaps
+from neusub.memory import freed_memory_kept
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivide_classic, subdivision_operator
@@ -122,6 +123,11 @@ class Subdivider:
                                                    crease_angle=crease_angle)
         if levels < 1 or limit_levels < 0:
             raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: at least one level, and none below 0.")
+        with freed_memory_kept(len(mesh.faces) * 4**levels):
+            return self._levels(mesh, levels, limit_levels, scale, creases, crease_angle)
+
+    def _levels(self, mesh: Mesh, levels: int, limit_levels: int, scale: Scale, creases: ndarray | None,
+                crease_angle: float | None) -> list[Mesh]:
         topologies, faces = topology_levels(mesh.faces, len(mesh.vertices), levels)
         sharp = marked_creases(topologies[0], mesh.vertices, creases, crease_angle)
         if sharp is not None and sharp.any():
