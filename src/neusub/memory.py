@@ -19,8 +19,8 @@ LARGEST_THRESHOLD = 32 << 20  # that glibc comes to by itself, once a block of t
 def freed_memory_kept(faces: int) -> Iterator[None]:
     """Where there are many faces: what is freed within goes back to the system at the end only.
 
-    Layers of large meshes come and go by the gigabyte, and the system clears every page that it gives: a quarter of the
-    time of sixteen million faces.  Linux with glibc only; elsewhere nothing happens.
+    Layers of large meshes come and go by the gigabyte, and the system clears every page that it gives: up to a quarter
+    of the time of sixteen million faces.  Linux with glibc only, and the main thread; elsewhere nothing happens.
     """
     libc = ctypes.CDLL(None) if sys.platform == "linux" and faces >= LARGE else None
     if libc is None or not hasattr(libc, "mallopt"):
