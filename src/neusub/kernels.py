@@ -198,8 +198,8 @@ def add_of_groups(offsets, i, end, of_groups, results):
 @njit(**ALLOCATES)
 def backwards(shape, layers, transposed, constants, capacity, reads, first, last, of_sums, of_hidden, of_corners,
               of_before, of_layers):
-    """The gradients of `forwards`: of what each half-flap reads of its corners (if `reads`), of its first layer before
-    the activation, and, added up, of the layers."""
+    """The gradients of `forwards`, from those of the sums that its means are made of: of what each half-flap reads of
+    its corners (if `reads`), of its first layer before the activation, and, added up, of the layers."""
     offsets = shape.offsets
     block = new_block(capacity, layers)
     of_local, of_axes, of_seen = np.empty_like(block.local), np.empty_like(block.axes), np.empty_like(block.seen)
