@@ -5,7 +5,7 @@ from pathlib import Path
 import pytest
 
 SHARED = Path(__file__).parents[2] / "shared"
-KERNELS = Path(__file__).parents[1] / "src" / "neusub" / "selfparam"
+SOURCE = Path(__file__).parents[1] / "src" / "neusub"
 
 
 def pytest_configure(config: pytest.Config) -> None:
@@ -13,10 +13,12 @@ def pytest_configure(config: pytest.Config) -> None:
     of them anew where any file is newer than what is cached."""
     if hasattr(config, "workerinput"):
         return  # a worker of pytest-xdist: the controller has done it before it started one
-    cached = {path: path.stat().st_mtime for path in (KERNELS / "__pycache__").glob("*.nb[ic]")}
-    if cached and max(path.stat().st_mtime for path in KERNELS.glob("*.py")) > min(cached.values()):
-        for path in cached:
-            path.unlink(missing_ok=True)
+    for folder in (SOURCE, SOURCE / "selfparam"):
+        cached = {path: path.stat().st_mtime for path in (folder / "__pycache__").glob("*.nb[ic]")}
+        kernels = [path for path in folder.glob("*.py") if "njit" in path.read_text()]
+        if cached and max(path.stat().st_mtime for path in kernels) > min(cached.values()):
+            for path in cached:
+                path.unlink(missing_ok=True)
 
 
 @pytest.fixture(scope="session")

@@ -9,15 +9,17 @@ import torch
 import neusub.compiled
 import shapes
 from neusub.bounds import Measures, measured
-from neusub.compiled import Weights, serves
+from neusub.compiled import serves
 from neusub.configuration import PRESETS, Architecture
 from neusub.frames import edge_vectors, local_frames
+from neusub.layers import Weights
 from test_network import bumpy, flaps_of, random_network
 
 OPTIONS = {
     "paper": {},
     "vectors": {"vectors": 2, "turns": True, "residual": True, "activation": "silu"},
     "default": {**asdict(PRESETS["default"].network), "bound": (0.3, 0.5, 0.3)},
+    "no features": {"features": 0, "vectors": 2},
     "wide": {"width": 96, "features": 50, "vectors": 5, "relative": True, "activation": "silu"},
 }
 
@@ -72,7 +74,7 @@ def test_single_precision_is_as_good_as_that_of_tensors(options, monkeypatch):
 
 
 @pytest.mark.parametrize("shape", ["torus", "tetrahedron", "grid"])
-@pytest.mark.parametrize("options", ["paper", "vectors"])
+@pytest.mark.parametrize("options", ["paper", "vectors", "wide"])
 def test_gradients_of_the_input_are_those_of_tensors(options, shape, monkeypatch):
     vertices, faces = shapes.grid(6, 5) if shape == "grid" else SHAPES[shape]()
     network, gradients = random_network(**OPTIONS[options]), []

@@ -40,7 +40,7 @@ class Measures(NamedTuple):
 def measured(
     groups: FlapGroups, edges: Float[Tensor, "3 3 n"], axes: Float[Tensor, "3 3 n"], turning: bool
 ) -> Measures:
-    """From the edges of half-flaps and their frames' axes, as constants; `kernels.measure` does the same."""
+    """From the edges of half-flaps and their frames' axes, as constants; `kernel_frames.measure` does the same."""
     edges, axes = edges.detach(), axes.detach()
     squared = squared_lengths(edges)
     height = (edges[1:] * axes[2]).sum(1).abs().amax(0)

@@ -20,8 +20,9 @@ from neusub.bounds import Measures
 from neusub.compilation import announce
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups
+from neusub.layers import Weights, columns, for_table
 
-__all__ = ["Layers", "Measuring", "Said", "said", "serves"]
+__all__ = ["Measuring", "Said", "said", "serves"]
 
 ENOUGH = 50_000  # half-flaps for which the kernels are worth their compilation, where nothing is learned
 PART = 4096  # half-flaps that are worth a thread
@@ -29,18 +30,6 @@ ROWS = 128  # half-flaps of a block, at most; more where one vertex has more
 PRODUCT = 1 << 18  # multiplications of a product of matrices that BLAS does in the thread that asks
 
 Measuring = Literal["all", "no turning"] | None  # which `Measures` are wanted
-
-
-class Weights(NamedTuple):
-    """Of a module.  The first layer's columns go vertex by vertex: features of v0, vectors of v0, e1, those of v1, e2,
-    those of v2, e3, those of v3; the last layer's rows: displacement, vectors, features."""
-
-    first: Float[Tensor, "width 9+4*(c+3*k)"]
-    first_bias: Float[Tensor, " width"]
-    hidden: Float[Tensor, "width width"]
-    hidden_bias: Float[Tensor, " width"]
-    last: Float[Tensor, "3+3*k+c width"]
-    last_bias: Float[Tensor, " 3+3*k+c"]
 
 
 class Said(NamedTuple):
@@ -155,7 +144,7 @@ class _Said(torch.autograd.Function):
                           array(torch.cat([of_move, of_told], 1) / count), array(of_hidden),
                           array(of_corners.view(-1, 4 * of_corners.shape[1])), array(of_before),
                           own=lambda: Layers(*map(np.zeros_like, fixed[1])))
-        of_layers = Weights(*map(torch.from_numpy, map(sum, zip(*shares))))
+        of_layers = Layers(*map(sum, zip(*shares)))  # type: ignore[arg-type]
         order, _, starts = map(array, groups.readers)
 
         def summed(values: Tensor, rows: int, stride: int) -> Tensor:
@@ -173,27 +162,10 @@ class _Said(torch.autograd.Function):
             if ctx.needs_input_grad[7]:
                 of_features = of_table @ for_table(weights.first, features.shape[1], vectors.shape[1])
             of_weights.first[:, corners] = (of_table.T @ features).view(4, plan.width, -1).transpose(0, 1).flatten(1)
-        of_weights.first[:, local] = of_layers.first
-        for part, of_layer in zip(of_weights[1:], of_layers[1:]):
-            part[: len(of_layer)] = of_layer
+        of_weights.first[:, local] = torch.from_numpy(of_layers.first)
+        for part, asked_for in zip(of_weights[1:], of_layers[1:]):  # of the last layer the first rows
+            part[: len(asked_for)] = torch.from_numpy(asked_for)
         return None, None, None, None, None, of_positions, of_vectors, of_features, *of_weights
-
-
-@cache
-def columns(features: int, vectors: int, device: torch.device | str = "cpu") -> tuple[Tensor, Tensor]:
-    """Of the first layer: its columns for edges and then for the corners' vectors, and those for their features."""
-    corner = features + vectors
-    with torch.inference_mode(False):  # or gradients could not go through what is kept
-        starts = torch.arange(4, device=device)[:, None] * (corner + 3)
-        of_features, of_vectors, of_edges = (starts + torch.arange(corner + 3, device=device)).tensor_split(
-            [features, corner], dim=1)
-        return torch.cat([of_edges[:3].flatten(), of_vectors.flatten()]), of_features.flatten()
-
-
-def for_table(first: Tensor, features: int, vectors: int) -> Float[Tensor, "4*width c"]:
-    """What takes a vertex's features through the first layer: into a row for each corner that it may be."""
-    corners = first.index_select(1, columns(features, vectors, first.device)[1])
-    return corners.view(-1, 4, features).transpose(0, 1).reshape(-1, features)
 
 
 def given_to_kernels(groups: FlapGroups, plan: Architecture, positions: Tensor, vectors: Tensor, features: Tensor,

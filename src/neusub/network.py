@@ -34,7 +34,7 @@ from neusub.bounds import (
     settled,
     unturned,
 )
-from neusub.compiled import Measuring, Said, Weights, columns, for_table
+from neusub.compiled import Measuring, Said
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, pool, sum_slots
 from neusub.frames import (
@@ -48,6 +48,7 @@ from neusub.frames import (
     vertex_normals,
     vertex_turns,
 )
+from neusub.layers import Weights, columns, for_table
 
 __all__ = ["HalfFlapMLP", "NeuralSubdivision", "Values"]
 
@@ -68,8 +69,7 @@ class Values(NamedTuple):
 class HalfFlapMLP(nn.Module):
     """One module (I, V or E): an MLP with two hidden layers on half-flaps, and the mean over each group.
 
-    The first layer's columns go vertex by vertex: value(v0), e1, value(v1), e2, value(v2), e3, value(v3), a value being
-    the features and then the vectors of a vertex.
+    The order of the layers' rows and columns: `layers.Weights`.
     """
 
     def __init__(self, plan: Architecture, features: int, vectors: int):
@@ -117,10 +117,10 @@ def said_by_tensors(
     """The MLP on each half-flap in its frame, and the means over groups; on any device.
 
     `compiled.said` does the same on a CPU, faster."""
-    table, count = None, [0 if x is None else x.shape[1] for x in (features, vectors)]
+    table, brought = None, [0 if x is None else x.shape[1] for x in (features, vectors)]
     if features is not None:  # gather and sum products: a vertex has six half-flaps, each with four corners
-        table = linear(features, for_table(weights.first, *count)).view(-1, plan.width)
-    local = weights.first.index_select(1, columns(*count, positions.device)[0])
+        table = linear(features, for_table(weights.first, *brought)).view(-1, plan.width)
+    local = weights.first.index_select(1, columns(*brought, positions.device)[0])
     parts = [groups] if torch.is_grad_enabled() else groups.chunks(plan.width)
     positions, vectors = by_columns(positions), None if vectors is None else by_columns(vectors)
     return joined([said_of_part(part, positions, vectors, table, local, weights, plan, learns, measures)
@@ -150,12 +150,12 @@ def said_of_part(
     axes, defined = local_frames(edges)
     size = sizes(squared_lengths(edges)) if plan.relative else None
     seen, spare = in_frames(edges if size is None else edges / size, axes).T, not torch.is_grad_enabled()
-    hidden = linear(seen, local[:, :9], weights.first_bias)
+    hidden = linear(seen, local[:, :9], weights.first_bias)  # of half the bits in mixed precision
     if table is not None:
         hidden += sum_slots(groups, table)
     if vectors is not None:
         seen, turned = gather_corners(groups, vectors).unflatten(1, (-1, 3)).flatten(0, 1), local[:, 9:].T
-        hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned.to(hidden.dtype))  # in mixed precision
+        hidden.addmm_(in_frames(seen, axes).T.to(hidden.dtype), turned.to(hidden.dtype))
     hidden = linear(activate(hidden, inplace=spare), weights.hidden, weights.hidden_bias)
     hidden = activate(hidden, inplace=spare)
     count = groups.offsets.diff().to(hidden.dtype)[:, None]
