@@ -8,9 +8,9 @@ import torch
 
 import patches
 import shapes
-from neusub import subdivider
-from neusub.bounds import around_edges, around_vertices, measured
-from neusub.frames import edge_vectors, local_frames, vertex_turns
+from neusub import bounds, subdivider
+from neusub.bounds import area_normals, around_edges, around_vertices, measured, turned_corners
+from neusub.frames import edge_vectors, local_frames, star_sums, vertex_turns
 from neusub.mesh import Mesh
 from neusub.schemes import subdivide_classic, subdivision_matrix
 from neusub.subdivider import Subdivider
@@ -137,6 +137,23 @@ def test_no_triangle_is_turned_over_however_far_the_network_goes(make):
     assert np.abs(outputs[True][1][: len(vertices)] - vertices).max() > 0.05  # it moves where nothing turns
 
 
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_kernel_finds_the_turned_triangles_that_tensors_find(dtype, monkeypatch):
+    vertices, faces = shapes.torus(9, 7)
+    (topology,), fine = topology_levels(faces, len(vertices), 1)
+    normals = area_normals(torch.tensor(faces), torch.tensor(vertices, dtype=dtype))
+    points = subdivision_matrix(topology, "midpoint") @ vertices
+    noise = np.random.default_rng(0).normal(0, 0.2, points.shape)
+    safe, wild = (torch.tensor(p, dtype=dtype) for p in (points, points + noise))
+    found = []
+    for enough in (0, np.inf):
+        monkeypatch.setattr(bounds, "ENOUGH", enough)
+        found.append(turned_corners(torch.tensor(fine), normals, safe)(wild))
+        assert len(turned_corners(torch.tensor(fine), normals, wild)(wild)) == 0
+    assert 0 < len(found[0]) < len(wild)
+    assert found[0].equal(found[1])
+
+
 def test_where_nothing_is_turned_over_positions_are_the_networks():
     vertices, faces = shapes.torus(12, 8)
     options = {"vectors": 2, "relative": True, "bound": (0.05, 0.3)}
@@ -165,7 +182,8 @@ def test_triangles_too_thin_for_single_precision_are_not_turned_over_either(monk
 
 
 def turns_of(vertices, faces):
-    return vertex_turns(flaps_of(faces, len(vertices), 1)[0].by_vertex, torch.as_tensor(vertices)).numpy()
+    groups = flaps_of(faces, len(vertices), 1)[0].by_vertex
+    return vertex_turns(star_sums(groups, torch.as_tensor(vertices), framed=True), groups.offsets.diff()).numpy()
 
 
 def test_turns_of_a_divided_cube_tell_faces_edges_and_corners():

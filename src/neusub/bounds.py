@@ -13,6 +13,7 @@ import torch
 from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
+from neusub.compilation import ENOUGH, announce
 from neusub.configuration import Bound
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
 from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns
@@ -173,7 +174,7 @@ def bounded(
     if len(bound) > 2:
         limit = torch.minimum(limit, bound[2] * measures.altitude.sqrt())
     ratio = move.square().sum(1) / limit.clamp(min=NOTHING).square()
-    return move * ((1 + ratio.square()) ** -0.25 * (limit / NOTHING).clamp(max=1))[:, None]
+    return move * ((1 + ratio.square()).sqrt().rsqrt() * (limit / NOTHING).clamp(max=1))[:, None]
 
 
 def area_normals(faces: Int[Tensor, "nF 3"], positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 nF"]:
@@ -199,6 +200,8 @@ def turned_corners(
     normals: `area_normals` of the input's faces; those of `faces` come from them block by block.
     """
     def turned_over(positions: Tensor) -> Bool[Tensor, " n"]:
+        if positions.device.type == "cpu" and 3 * len(faces) >= ENOUGH:
+            return turned_by_kernel(faces, normals, positions)
         columns, results = by_columns(positions), []
         for part in faces.split(normals.shape[1] * max(1, CHUNK // normals.shape[1])):
             now = area_normals(part, columns).unflatten(1, (-1, normals.shape[1]))
@@ -216,6 +219,18 @@ def turned_corners(
         return faces[turned & ~before()].unique() if turned.any() else faces.new_empty(0)
 
     return corners
+
+
+def turned_by_kernel(
+    faces: Int[Tensor, "k*nF_0 3"], normals: Float[Tensor, "3 nF_0"], positions: Float[Tensor, "nV 3"]
+) -> Bool[Tensor, " n"]:
+    from neusub.kernel_frames import turned_over
+
+    announce(turned_over, "the network's kernels")
+    results = torch.empty(len(faces), dtype=torch.bool)
+    rows, least = normals.T.contiguous().numpy(), normals.new_tensor(TURNED).numpy()[()]
+    turned_over(faces.numpy(), rows, positions.detach().contiguous().numpy(), least, results.numpy())
+    return results
 
 
 def moved_back(

@@ -7,10 +7,11 @@ others call removes that folder.
 from __future__ import annotations
 
 import logging
+from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ALLOCATES", "COMPILED", "CONTRACTED", "INNER", "ONCE", "announce"]
+__all__ = ["ALLOCATES", "COMPILED", "CONTRACTED", "ENOUGH", "INNER", "ONCE", "announce"]
 
 # Most kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third to a half
 # of the time).  Then no array is assigned to a slice as a whole.  Divisions by zero give inf, as in numpy.
@@ -22,11 +23,19 @@ INNER = {**COMPILED, "no_cpython_wrapper": True}
 ONCE = {**INNER, "inline": "always"}
 CONTRACTED = {"fastmath": {"contract"}}  # a product and a sum may be rounded once
 
+ENOUGH = 50_000  # half-flaps of a mesh that are worth the compilation of the network's kernels
+
 
 def announce(kernel: Any, what: str) -> None:
-    """Say so where a kernel is about to be compiled, once on a machine, which takes some seconds."""
+    """Say so where a kernel is about to be compiled, once on a machine, which takes some seconds; once of what belongs
+    together."""
     if kernel.signatures:
         return
     module = kernel.py_func.__module__.rpartition(".")[2]
     if not any(Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")):
-        logging.getLogger("neusub").warning(f"neusub: compiling {what}, once on this machine ...")
+        say_that_it_compiles(what)
+
+
+@cache
+def say_that_it_compiles(what: str) -> None:
+    logging.getLogger("neusub").warning(f"neusub: compiling {what}, once on this machine ...")

@@ -17,14 +17,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from neusub.bounds import Measures
-from neusub.compilation import announce
+from neusub.compilation import ENOUGH, announce
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups
 from neusub.layers import Weights, columns, for_table
 
-__all__ = ["Measuring", "Said", "said", "serves"]
+__all__ = ["Measuring", "Said", "said", "serves", "star_sums"]
 
-ENOUGH = 50_000  # half-flaps for which the kernels are worth their compilation, where nothing is learned
 PART = 4096  # half-flaps that are worth a thread
 ROWS = 128  # half-flaps of a block, at most; more where one vertex has more
 PRODUCT = 1 << 18  # multiplications of a product of matrices that BLAS does in the thread that asks
@@ -69,7 +68,8 @@ class Constants(NamedTuple):
     one: np.floating
     rounding: np.floating  # relative, of a squared length
     tiny: np.floating  # the smallest normal number
-    to_size: np.floating  # from the sum of five lengths; 0 for a network that knows the scale
+    fifth: np.floating
+    is_relative: bool  # whether lengths are in units of the half-flap's
     is_silu: bool
     powers: tuple  # coefficients of the series of 2^x, highest first
     log2_e: np.floating
@@ -95,6 +95,20 @@ def said(
                                             features, *weights)
     found = None if measures is None else Measures(rows[0], rows[1], rows[2], rows[3], rows[4:] if turning else None)
     return Said(move, told if told.shape[1] else None, learned if learns else None, found)
+
+
+def star_sums(
+    groups: FlapGroups, positions: Float[Tensor, "nV 3"], relative: bool, framed: bool
+) -> Float[Tensor, "nV 4"] | Float[Tensor, "nV 11"]:
+    """As `frames.star_sums`, as constants."""
+    from neusub.kernel_frames import sum_stars
+
+    announce(sum_stars, "the network's kernels")
+    sums = positions.new_empty(len(positions), 11 if framed else 4)
+    none = array(positions.new_empty(0, 0))
+    fixed = Shape(array(positions), none, none, *groups.arrays), constants_of(positions.dtype, relative, False)
+    in_parts(sum_stars, fixed, len(sums), len(groups.corners), array(sums))
+    return sums
 
 
 class _Said(torch.autograd.Function):
@@ -190,8 +204,8 @@ def constants_of(dtype: torch.dtype, is_relative: bool, is_silu: bool) -> Consta
     limit = np.finfo(kind)
     powers = [log(2) ** k / factorial(k) for k in reversed(range(terms))]
     return Constants(
-        one=kind(1), rounding=kind((16 * limit.eps) ** 2), tiny=limit.tiny, to_size=kind(is_relative / 5),
-        is_silu=is_silu, powers=tuple(map(kind, powers)), log2_e=kind(1 / log(2)),
+        one=kind(1), rounding=kind((16 * limit.eps) ** 2), tiny=limit.tiny, fifth=kind(1 / 5),
+        is_relative=is_relative, is_silu=is_silu, powers=tuple(map(kind, powers)), log2_e=kind(1 / log(2)),
         magic=kind(1.5 * 2.0**limit.nmant), largest=kind(-limit.minexp - 1))
 
 

@@ -18,7 +18,8 @@ from torch.nn.functional import embedding_bag
 
 from neusub.topology import Topology, counting_order
 
-__all__ = ["FlapGroups", "LevelFlaps", "by_columns", "gather_corners", "level_flaps", "pool", "sum_slots"]
+__all__ = ["FlapGroups", "LevelFlaps", "by_columns", "gather_corners", "level_flaps", "means_of_ends", "pool",
+           "sum_slots"]
 
 CHUNK = 1 << 20  # numbers of one layer at a time without gradients: they stay in the cache
 
@@ -168,3 +169,10 @@ def pool(groups: FlapGroups, values: Float[Tensor, "n c"]) -> Float[Tensor, "m c
     if not values.requires_grad:
         return embedding_bag(rows, values, groups.offsets, mode="sum", include_last_offset=True)
     return _SumRows.apply(values, rows, groups.offsets, groups.owner, groups.ones[: len(values) + 1])
+
+
+def means_of_ends(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Tensor, "nE c"]:
+    """Of each edge."""
+    if not values.requires_grad:
+        return embedding_bag(level.edges, values, mode="sum") / 2  # three times faster
+    return (values.index_select(0, level.edges[:, 0]) + values.index_select(0, level.edges[:, 1])) / 2

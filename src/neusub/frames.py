@@ -14,7 +14,7 @@ from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
 __all__ = [
     "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes",
-    "squared_lengths", "turn_sums", "turns", "vertex_normals", "vertex_turns",
+    "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals", "vertex_turns",
 ]
 
 TURNS = 4  # numbers of `vertex_turns`
@@ -82,13 +82,14 @@ def in_frames(vectors: Float[Tensor, "k 3 n"], axes: Float[Tensor, "3 3 n"]) -> 
     return dots.flatten(0, 1)
 
 
-def differential_coordinates(
-    groups: FlapGroups, positions: Float[Tensor, "nV 3"], relative: bool = False
-) -> Float[Tensor, "nV 3"]:
-    """Each vertex minus the mean of its neighbours; relative: in units of the mean length of its edges.
+def star_sums(
+    groups: FlapGroups, positions: Float[Tensor, "nV 3"], relative: bool = False, framed: bool = False
+) -> Float[Tensor, "nV 4"] | Float[Tensor, "nV 11"]:
+    """Over the half-flaps of each vertex: of the vectors to its neighbours (3), and of their lengths (if `relative`) or
+    their number; if `framed`, of the frames' z (3), and, as constants, the first four `turn_sums`.
 
-    A boundary vertex counts the reflected vertices of `edge_vectors` among its neighbours: on a straight border of a
-    regular flat patch it then has none, like a vertex inside, and the border is not drawn inwards.
+    A boundary vertex counts the reflected vertices of `edge_vectors` among its neighbours.  `compiled.star_sums` does
+    the same on a CPU, faster.
     """
     parts, positions = [], by_columns(positions)
     for part in groups.chunks():
@@ -96,22 +97,38 @@ def differential_coordinates(
         use = torch.ones_like(edges[:, :1])
         if part.missing is not None:
             use[1:] = part.missing[:, None]
+            near = edges
         else:
-            edges, use = edges[:1], use[:1]
-        sizes = use if not relative else use * edges.square().sum(1, keepdim=True).sqrt()
-        total = pool(part, torch.cat([(edges * use).sum(0), sizes.sum(0)]).T.contiguous())
-        parts.append(-total[:, :3] / total[:, 3:].clamp(min=torch.finfo(total.dtype).tiny if relative else 1))
+            near, use = edges[:1], use[:1]
+        rows = [(near * use).sum(0), (use * near.square().sum(1, keepdim=True).sqrt() if relative else use).sum(0)]
+        if framed:
+            axes, defined = local_frames(edges)
+            rows.append(torch.where(defined, axes[2], 0))
+        sums = pool(part, torch.cat(rows).T.contiguous())
+        if framed:
+            sums = torch.cat([sums, turn_sums(part, edges.detach(), axes.detach())[:4].T], dim=1)
+        parts.append(sums)
     return torch.cat(parts)
 
 
-def vertex_normals(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "nV 3"]:
+def differential_coordinates(stars: Float[Tensor, "nV 4+"]) -> Float[Tensor, "nV 3"]:
+    """Each vertex minus the mean of its neighbours, from its `star_sums`; if they are `relative`, in units of the mean
+    length of its edges.
+
+    On a straight border of a regular flat patch a vertex then has none, like one inside, and the border is not drawn
+    inwards.
+    """
+    return -stars[:, :3] / stars[:, 3:4].clamp(min=torch.finfo(stars.dtype).tiny)
+
+
+def vertex_normals(stars: Float[Tensor, "nV 11"]) -> Float[Tensor, "nV 3"]:
     """The direction of the sum of z over a vertex's half-flaps; zero where they cancel."""
-    parts, positions = [], by_columns(positions)
-    for part in groups.chunks():
-        axes, defined = local_frames(edge_vectors(part, positions))
-        total = pool(part, torch.where(defined, axes[2], 0).T.contiguous())
-        parts.append(unit(total.T, 1.0)[0].T)
-    return torch.cat(parts)
+    return unit(stars[:, 4:7].T, 1.0)[0].T
+
+
+def vertex_turns(stars: Float[Tensor, "nV 11"], count: Int[Tensor, " nV"]) -> Float[Tensor, "nV 4"]:
+    """The first four of the `turns`."""
+    return turns(stars[:, 7:].T, count)[:TURNS].T
 
 
 def turn_sums(
@@ -147,13 +164,3 @@ def turns(sums: Float[Tensor, "7 m"], count: Int[Tensor, " m"]) -> Float[Tensor,
     ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
     bend = sums[4:].square().sum(0).sqrt() / (p1 + least)
     return torch.stack([p1 / count, *(ratio.clamp(min=0) for ratio in ratios), bend])
-
-
-def vertex_turns(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "nV 4"]:
-    """The first four of the `turns` of positions."""
-    parts, positions = [], by_columns(positions)
-    for part in groups.chunks():
-        edges = edge_vectors(part, positions)
-        sums = turn_sums(part, edges, local_frames(edges)[0])
-        parts.append(turns(sums, part.offsets.diff())[:TURNS].T)
-    return torch.cat(parts)

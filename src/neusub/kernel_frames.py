@@ -1,7 +1,8 @@
-"""Half-flaps and their frames, compiled: what is seen in them, what is said out of them, and the gradients of both.
+"""Half-flaps and their frames, compiled: what is seen in them, what is said out of them, and the gradients of both; and
+which triangles are turned over.
 
-Kernels on arrays that they trust, for `kernels.py`; `frames.py` and `bounds.py` say what the numbers mean, and the
-letters are theirs.  Vectors are tuples of three; rows of arrays hold them one after the other.
+Arrays are trusted; for `kernels.py`, `compiled.py` and `bounds.py`.  `frames.py` and `bounds.py` say what the numbers
+mean, and the letters are theirs.  Vectors are tuples of three; rows of arrays hold them one after another.
 """
 
 from __future__ import annotations
@@ -11,8 +12,10 @@ from numba import njit
 
 from neusub import compilation
 
-__all__ = ["MEASURES", "TURNING", "look", "look_back", "measure", "speak", "speak_back"]
+__all__ = ["MEASURES", "TURNING", "look", "look_back", "measure", "speak", "speak_back", "sum_stars",
+           "turned_over"]
 
+COMPILED = {**compilation.COMPILED, **compilation.CONTRACTED}
 INNER = {**compilation.INNER, **compilation.CONTRACTED}
 
 ONE, TWO, THREE = np.uint64(1), np.uint64(2), np.uint64(3)  # unsigned indices need no look whether they count back
@@ -89,6 +92,14 @@ def edges_of(shape, h):
 
 
 @njit(**INNER)
+def mean_length(e1, e2, e3, constants):
+    """Of a half-flap's five edges; 1 where all its vertices coincide."""
+    a, b = minus(e2, e1), minus(e3, e1)
+    total = np.sqrt(dot(e1, e1)) + np.sqrt(dot(e2, e2)) + np.sqrt(dot(e3, e3)) + np.sqrt(dot(a, a)) + np.sqrt(dot(b, b))
+    return constants.fifth * total if total > 0 else constants.one
+
+
+@njit(**INNER)
 def inverse_length(a, limit, constants):
     """One over the length; 0 for a vector whose squared length is not above the limit."""
     squared = dot(a, a)
@@ -128,13 +139,9 @@ def look(shape, start, rows, constants, seen, axes, sizes, defined):
             x = z = minus(x, x)
         y = cross(z, x)
         unit = one
-        if constants.to_size > 0:
-            a, b = minus(e2, e1), minus(e3, e1)
-            total = (np.sqrt(dot(e1, e1)) + np.sqrt(dot(e2, e2)) + np.sqrt(dot(e3, e3)) + np.sqrt(dot(a, a))
-                     + np.sqrt(dot(b, b)))
-            size = constants.to_size * total if total > 0 else one
-            unit = one / size
-            sizes[r] = size
+        if constants.is_relative:
+            sizes[r] = mean_length(e1, e2, e3, constants)
+            unit = one / sizes[r]
         put(axes, r, 0, x)
         put(axes, r, 3, y)
         put(axes, r, 6, z)
@@ -171,7 +178,7 @@ def look_back(shape, start, rows, constants, axes, sizes, defined, of_seen, of_a
         e1, e2, e3 = edges_of(shape, h)
         x, z, left, right, to_x, to_left, to_right, to_z = frame_of(e1, e2, e3, constants)
         y = get(axes, r, 3)
-        unit = constants.one / sizes[r] if constants.to_size > 0 else constants.one
+        unit = constants.one / sizes[r] if constants.is_relative else constants.one
         s1, s2 = times(unit, get(of_seen, r, 0)), times(unit, get(of_seen, r, 3))
         s3 = times(unit, get(of_seen, r, 6))
         gx = plus(plus(get(of_axes, r, 0), times(s1[0], e1)), plus(times(s2[0], e2), times(s3[0], e3)))
@@ -229,7 +236,7 @@ def speak(offsets, i, end, constants, block, means, hidden, counts):
             x, y, z = get(axes, r, 0), get(axes, r, 3), get(axes, r, 6)
             for j in range(0, means.shape[1], 3):
                 a = combined(get(local, r, j), x, y, z)
-                if j == 0 and constants.to_size > 0:
+                if j == 0 and constants.is_relative:
                     a = times(block.sizes[r], a)
                 put(means, g, j, plus(get(means, g, j), a))
             for j in range(hidden.shape[1]):
@@ -252,7 +259,7 @@ def speak_back(offsets, i, end, constants, block, of_sums, of_local, of_axes):
             gx = gy = gz = minus(x, x)
             for j in range(0, of_local.shape[1], 3):
                 of_sum, a = get(of_sums, g, j), get(local, r, j)
-                if j == 0 and constants.to_size > 0:
+                if j == 0 and constants.is_relative:
                     of_sum = times(block.sizes[r], of_sum)
                 put(of_local, r, j, dots(of_sum, x, y, z))
                 gx, gy, gz = plus(gx, times(a[0], of_sum)), plus(gy, times(a[1], of_sum)), plus(gz, times(a[2], of_sum))
@@ -262,7 +269,14 @@ def speak_back(offsets, i, end, constants, block, of_sums, of_local, of_axes):
 
 
 @njit(**INNER)
-def measure(shape, i, end, constants, axes, measures):
+def turn(side_2, side_3, up_2, up_3, tiny):
+    """The square of s in `frames.turn_sums`, from v2 and v3 along the axes y and z."""
+    up_2, up_3 = up_2 * up_2, up_3 * up_3
+    return min(up_2 / max(side_2 * side_2 + up_2, tiny), up_3 / max(side_3 * side_3 + up_3, tiny))
+
+
+@njit(**INNER)
+def measure(shape, i, end, constants, axes, sizes, measures):
     """Of each group its largest height, smallest squares of an edge and of an altitude, mean size, and, if there are
     rows for them, `frames.turn_sums`: a row of `measures` each."""
     offsets, tiny, turning = shape.offsets, constants.tiny, len(measures) > MEASURES
@@ -278,8 +292,7 @@ def measure(shape, i, end, constants, axes, measures):
             a, b = minus(e2, e1), minus(e3, e1)
             c1, c2, c3, c4, c5 = dot(e1, e1), dot(e2, e2), dot(e3, e3), dot(a, a), dot(b, b)
             shortest = min(shortest, min(c1, min(min(c2, c3), min(c4, c5))))
-            lengths = np.sqrt(c1) + np.sqrt(c2) + np.sqrt(c3) + np.sqrt(c4) + np.sqrt(c5)
-            total += lengths if lengths > 0 else 5 * constants.one
+            total += sizes[r] if constants.is_relative else mean_length(e1, e2, e3, constants)
             left, right = cross(e1, e2), cross(e3, e1)
             altitude = min(altitude, min(dot(left, left) / max(max(c1, max(c2, c4)), tiny),
                                          dot(right, right) / max(max(c1, max(c3, c5)), tiny)))
@@ -287,14 +300,55 @@ def measure(shape, i, end, constants, axes, measures):
             highest = max(highest, max(abs(up_2), abs(up_3)))
             if not turning:
                 continue
-            side_2, side_3 = dot(e2, y), dot(e3, y)
-            up_2, up_3 = up_2 * up_2, up_3 * up_3
-            squared = min(up_2 / max(side_2 * side_2 + up_2, tiny), up_3 / max(side_3 * side_3 + up_3, tiny))
+            squared = turn(dot(e2, y), dot(e3, y), up_2, up_3, tiny)
             s = np.sqrt(squared)
             a1, a2, a3, a4 = a1 + s, a2 + squared, a3 + squared * s, a4 + squared * squared
             ahead = plus(ahead, times(s, x))
         measures[0, g], measures[1, g], measures[2, g] = highest, shortest, altitude
-        measures[3, g] = total / (5 * (offsets[g + 1] - offsets[g]))
+        measures[3, g] = total / (offsets[g + 1] - offsets[g])
         if turning:
             measures[4, g], measures[5, g], measures[6, g], measures[7, g] = a1, a2, a3, a4
             measures[8, g], measures[9, g], measures[10, g] = ahead
+
+
+@njit(**COMPILED)
+def sum_stars(shape, constants, first, last, sums):
+    """`frames.star_sums` of the groups first .. last - 1; framed if there are columns for it."""
+    missing, tiny, framed = shape.missing, constants.tiny, sums.shape[1] > 4
+    for g in range(first, last):
+        size = s1 = s2 = s3 = s4 = constants.one - constants.one
+        total = up = size, size, size
+        for h in range(shape.offsets[g], shape.offsets[g + 1]):
+            e1, e2, e3 = edges_of(shape, h)
+            total, size = plus(total, e1), size + (np.sqrt(dot(e1, e1)) if constants.is_relative else constants.one)
+            if missing.shape[1] > 0 and (missing[0, h] or missing[1, h]):
+                e = e2 if missing[0, h] else e3
+                total, size = plus(total, e), size + (np.sqrt(dot(e, e)) if constants.is_relative else constants.one)
+            if not framed:
+                continue
+            x, z, _, _, to_x, to_left, to_right, _ = frame_of(e1, e2, e3, constants)
+            if to_x > 0 and (to_left > 0 or to_right > 0):
+                up = plus(up, z)
+            y = cross(z, x)
+            squared = turn(dot(e2, y), dot(e3, y), dot(e2, z), dot(e3, z), tiny)
+            s = np.sqrt(squared)
+            s1, s2, s3, s4 = s1 + s, s2 + squared, s3 + squared * s, s4 + squared * squared
+        put(sums, g, 0, total)
+        sums[g, 3] = size
+        if framed:
+            put(sums, g, 4, up)
+            sums[g, 7], sums[g, 8], sums[g, 9], sums[g, 10] = s1, s2, s3, s4
+
+
+# --- triangles ---------------------------------------------------------------------------------------------------
+
+
+@njit(**COMPILED)
+def turned_over(faces, normals, positions, least, results):
+    """Whether the cosine of each face's angle to its normal, that of its block's row, is below the least."""
+    for i in range(len(faces)):
+        row = i % len(normals)
+        a = get(positions, faces[i, 0], 0)
+        now = cross(minus(get(positions, faces[i, 1], 0), a), minus(get(positions, faces[i, 2], 0), a))
+        then = get(normals, row, 0)
+        results[i] = dot(now, then) < least * np.sqrt(dot(now, now)) * np.sqrt(dot(then, then))

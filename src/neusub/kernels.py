@@ -182,7 +182,7 @@ def forwards(shape, layers, transposed, constants, capacity, first, last, means,
         through_layers(shape, layers, transposed, constants, start, shape.offsets[end] - start, block)
         speak(shape.offsets, i, end, constants, block, means, hidden, counts)
         if len(measures) > 0:
-            measure(shape, i, end, constants, block.axes, measures)
+            measure(shape, i, end, constants, block.axes, block.sizes, measures)
         i = end
 
 

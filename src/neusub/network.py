@@ -36,7 +36,7 @@ from neusub.bounds import (
 )
 from neusub.compiled import Measuring, Said
 from neusub.configuration import Architecture
-from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, pool, sum_slots
+from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, means_of_ends, pool, sum_slots
 from neusub.frames import (
     TURNS,
     differential_coordinates,
@@ -45,6 +45,7 @@ from neusub.frames import (
     local_frames,
     sizes,
     squared_lengths,
+    star_sums,
     vertex_normals,
     vertex_turns,
 )
@@ -194,11 +195,7 @@ class NeuralSubdivision(nn.Module):
         """
         given = given or [None] * (len(levels) + 1)
         first = levels[0].by_vertex
-        vectors = differential_coordinates(first, positions, self.plan.relative)
-        if self.plan.vectors:
-            vectors = torch.cat([vectors, vertex_normals(first, positions)], dim=1)
-        seen = vertex_turns(first, positions.detach()) if self.plan.turns else None
-        move, values, _ = self.initial(first, positions, Values(seen, vectors))
+        move, values, _ = self.initial(first, positions, self._first_values(first, positions))
         start, positions = put(positions, given[0]), put(positions + move, given[0])
         if self.plan.unturned:
             faces = torch.tensor(levels[0].topology.faces, device=positions.device)
@@ -212,18 +209,28 @@ class NeuralSubdivision(nn.Module):
             positions = put(positions + move, given[k])
             is_last = k + 1 == len(levels)
             move, learned, _ = self.edge(level.by_edge, positions, values, around, learns=not is_last)
-            positions = torch.cat([positions, means(level, positions) + move])
+            positions = torch.cat([positions, means_of_ends(level, positions) + move])
             if self.plan.settle and k >= self.plan.trained:
                 positions = settled(level, before, positions, self.plan.settle, self.plan.sharp)
             positions = put(positions, given[k + 1])
             if self.plan.unturned:
-                safe = put(torch.cat([before, means(level, before)]), given[k + 1])
+                safe = put(torch.cat([before, means_of_ends(level, before)]), given[k + 1])
                 positions = unturned(level.refined_faces(), normals, safe, positions)
             outputs.append(positions)
             if not is_last:
-                between = Values(*(None if v is None else means(level, v) for v in values))
+                between = Values(*(None if v is None else means_of_ends(level, v) for v in values))
                 values = values.merged(self._added(between, learned), lambda v, new: torch.cat([v, new]))
         return outputs
+
+    def _first_values(self, groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Values:
+        """What the input's vertices are known by."""
+        by_kernel = compiled.serves(groups, positions, self.initial.first.weight) and not positions.requires_grad
+        sums = (compiled.star_sums if by_kernel else star_sums)(
+            groups, positions, self.plan.relative, self.plan.vectors > 0 or self.plan.turns)
+        vectors = differential_coordinates(sums)
+        if self.plan.vectors:
+            vectors = torch.cat([vectors, vertex_normals(sums)], dim=1)
+        return Values(vertex_turns(sums, groups.offsets.diff()) if self.plan.turns else None, vectors)
 
     def _added(self, values: Values, learned: Values) -> Values:
         """What a module learned, added to what there was where the network is residual."""
@@ -233,8 +240,3 @@ class NeuralSubdivision(nn.Module):
 def put(positions: Float[Tensor, "nV 3"], given: Given) -> Float[Tensor, "nV 3"]:
     """With the given vertices in their places."""
     return positions if given is None else positions.index_copy(0, *given)
-
-
-def means(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Tensor, "nE c"]:
-    """Of the two ends of each edge."""
-    return (values.index_select(0, level.edges[:, 0]) + values.index_select(0, level.edges[:, 1])) / 2
