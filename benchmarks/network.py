@@ -70,7 +70,7 @@ def architectures() -> None:
     networks, cost = {}, {}
     for preset in ("paper", "default"):
         config = PRESETS[preset]
-        plan = replace(config.network, bound=config.bound, sharp=config.sharp, unturned=config.unturned)
+        plan = config.for_use(config.levels)
         networks[preset] = NeuralSubdivision(plan).eval().requires_grad_(False)
     with torch.inference_mode():
         for _ in range(7):  # in turns, so that a machine that slows down does so for both

@@ -70,28 +70,27 @@ def torus(n: int = 12, m: int = 8) -> Shape:
     return vertices, _wrapped_grid(n, m, True, True)
 
 
+def voxels(cells: set[tuple[int, int, int]]) -> Shape:
+    """The border of a set of unit cubes."""
+    numbers: dict[tuple[int, ...], int] = {}
+    faces = []
+    for cell in sorted(cells):
+        for axis in range(3):
+            for side in (0, 1):
+                step = np.eye(3, dtype=int)
+                if tuple(cell + (2 * side - 1) * step[axis]) in cells:
+                    continue
+                u, v = step[(axis + 1) % 3], step[(axis + 2) % 3]
+                start = cell + side * step[axis]
+                corners = [start, start + u, start + u + v, start + v][:: 2 * side - 1]
+                a, b, c, d = (numbers.setdefault(tuple(map(int, corner)), len(numbers)) for corner in corners)
+                faces.extend([[a, b, c], [a, c, d]])
+    return _shape(list(numbers), faces)
+
+
 def genus(g: int) -> Shape:
     """Closed and connected with g handles: the border of a bar of (2 g + 1) x 3 x 1 unit cubes with g holes."""
-    solid = {(x, y) for x in range(2 * g + 1) for y in range(3)} - {(2 * k + 1, 1) for k in range(g)}
-    numbers: dict[tuple[int, int, int], int] = {}
-    faces = []
-
-    def quad(*corners: tuple[int, int, int]) -> None:
-        a, b, c, d = (numbers.setdefault(corner, len(numbers)) for corner in corners)
-        faces.extend([[a, b, c], [a, c, d]])
-
-    for x, y in sorted(solid):
-        quad((x, y, 1), (x + 1, y, 1), (x + 1, y + 1, 1), (x, y + 1, 1))
-        quad((x, y, 0), (x, y + 1, 0), (x + 1, y + 1, 0), (x + 1, y, 0))
-        if (x - 1, y) not in solid:
-            quad((x, y, 0), (x, y, 1), (x, y + 1, 1), (x, y + 1, 0))
-        if (x + 1, y) not in solid:
-            quad((x + 1, y, 0), (x + 1, y + 1, 0), (x + 1, y + 1, 1), (x + 1, y, 1))
-        if (x, y - 1) not in solid:
-            quad((x, y, 0), (x + 1, y, 0), (x + 1, y, 1), (x, y, 1))
-        if (x, y + 1) not in solid:
-            quad((x, y + 1, 0), (x, y + 1, 1), (x + 1, y + 1, 1), (x + 1, y + 1, 0))
-    return _shape(list(numbers), faces)
+    return voxels({(x, y, 0) for x in range(2 * g + 1) for y in range(3)} - {(2 * k + 1, 1, 0) for k in range(g)})
 
 
 def grid(n: int = 5, m: int = 4) -> Shape:

@@ -9,12 +9,12 @@ import torch
 import patches
 import shapes
 from neusub import bounds, subdivider
-from neusub.bounds import area_normals, around_edges, around_vertices, measured, turned_corners
+from neusub.bounds import area_normals, around_edges, around_vertices, crisp_factors, measured, turned_corners
 from neusub.frames import edge_vectors, local_frames, star_sums, vertex_turns
 from neusub.mesh import Mesh
 from neusub.schemes import subdivide_classic, subdivision_matrix
 from neusub.subdivider import Subdivider
-from neusub.topology import topology_levels
+from neusub.topology import build_topology, topology_levels
 from test_network import bumpy, flaps_of, random_network, rotation, run
 
 FREE = {"vectors": 2, "relative": True, "flat": 0.3}
@@ -256,3 +256,80 @@ def test_an_edge_at_a_pointed_tip_is_not_held():
     blunt = around.clone()
     blunt[~corners, 1:] = 1
     assert around_edges(level.by_edge, blunt)[:, 1].min() > 0.9
+
+
+# --- where all around is flat or sharp ---------------------------------------------------------------------------
+
+
+def factors_of(vertices, faces, dtype=torch.float64):
+    """Of vertices and of edges, and the edges."""
+    level = flaps_of(faces, len(vertices), 1)[0]
+    crisp = crisp_factors(level, torch.as_tensor(vertices, dtype=dtype))
+    return crisp.vertices.numpy(), crisp.edges.numpy(), level.edges.numpy()
+
+
+def bent_cube():
+    """A cube, one of whose sides is no longer flat, and the vertex that is moved."""
+    vertices, faces = shapes.refined(shapes.cube(), 1)
+    middle = np.isclose(vertices, [0.5, 0.5, 1]).all(axis=1)
+    return vertices + 0.05 * middle[:, None], faces, int(middle.argmax())
+
+
+def test_diagonals_and_corners_of_a_cubes_sides_stay_and_its_edges_do_not():
+    vertices, faces = shapes.cube()
+    of_vertices, of_edges, edges = factors_of(vertices, faces)
+    is_diagonal = np.isclose(np.linalg.norm(np.diff(vertices[edges], axis=1)[:, 0], axis=1), np.sqrt(2))
+    assert is_diagonal.sum() == 6
+    assert of_vertices.max() < 1e-12
+    assert of_edges[is_diagonal].max() < 1e-12
+    assert of_edges[~is_diagonal].min() > 0.99
+
+
+def test_what_lies_on_a_bent_side_is_free_again():
+    vertices, faces, middle = bent_cube()
+    of_vertices, of_edges, edges = factors_of(vertices, faces)
+    assert of_vertices[middle] > 0.3
+    assert of_edges[(edges == middle).any(axis=1)].min() > 0.3
+    assert of_vertices[vertices[:, 2] < 1e-9].max() < 1e-12
+
+
+def test_borders_of_flat_patches_are_free():
+    vertices, faces = shapes.disc(1)
+    of_vertices, of_edges, edges = factors_of(vertices, faces)
+    border = build_topology(faces, len(vertices)).is_boundary_vertex
+    assert (of_vertices == border).all()
+    assert (of_edges == border[edges].all(axis=1)).all()
+
+
+@pytest.mark.parametrize("make", [lambda: shapes.icosphere(2), lambda: shapes.open_cylinder(12, 4), shapes.icosahedron])
+def test_curved_shapes_are_not_crisp(make):
+    of_vertices, of_edges, _ = factors_of(*make())
+    assert of_vertices.min() > 0.7
+    assert of_edges.min() > 0.9
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("make", [shapes.cube, lambda: bent_cube()[:2], lambda: shapes.bumpy(shapes.torus(9, 7)),
+                                  lambda: shapes.open_cylinder(5, 3), shapes.collinear_face, shapes.tetrahedron])
+def test_the_kernel_finds_the_factors_that_tensors_find(make, dtype, monkeypatch):
+    found = []
+    for enough in (0, np.inf):
+        monkeypatch.setattr(bounds, "ENOUGH", enough)
+        vertices, faces = make()
+        found.append(crisp_factors(flaps_of(faces, len(vertices), 1)[0], torch.as_tensor(vertices, dtype=dtype)))
+    for a, b in zip(*found):
+        assert a.dtype == b.dtype == dtype
+        np.testing.assert_allclose(a, b, atol=1e-4 if dtype == torch.float32 else 1e-10)
+
+
+@pytest.mark.parametrize("settle", [0.0, 0.05])
+def test_a_solid_with_a_corner_of_six_sharp_edges_stays_that_solid(settle):
+    vertices, faces = shapes.voxels({(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)})
+    turn = rotation()
+    for crisp in (True, False):
+        network = random_network(**HELD, trained=1, settle=settle, crisp=crisp)
+        for out in run(network, vertices @ turn.T, faces, 3):
+            back = out.numpy() @ turn
+            off = np.abs(back - back.round()).min(axis=1).max()
+            assert not crisp or off < 1e-9
+    assert off > 1e-3

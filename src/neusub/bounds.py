@@ -16,12 +16,15 @@ from torch import Tensor
 from neusub.compilation import ENOUGH, announce
 from neusub.configuration import Bound
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
-from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns
+from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns, unit
 
-__all__ = ["Measures", "area_normals", "around_edges", "around_vertices", "bounded", "flattened", "measured",
-           "moved_back", "settled", "turned_corners", "unturned"]
+__all__ = ["Crisp", "Measures", "area_normals", "around_edges", "around_vertices", "bounded", "crisp_factors",
+           "flattened", "measured", "moved_back", "settled", "turned_corners", "unturned", "with_corners"]
 
 SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
+
+FLAT_AT_VERTICES = 0.05, 0.1  # sines of half the angles that halve the hold of `crisp_factors`: away from sharp edges,
+FLAT_AT_EDGES = 0.01, 0.06  # and beside them
 
 TURNED = 0.05  # a triangle is turned over where the cosine of its angle to the input's face is below: at 87 degrees
 
@@ -73,17 +76,14 @@ def around_vertices(
     mean, second, third, fourth, bend = turns(measures.turning, count)
 
     def free(left: Tensor, turning: Tensor) -> Tensor:
-        sure = ((turning - SHARP[0]) / (SHARP[1] - SHARP[0])).clamp(0, 1)
-        return 1 - sure * held(left)
-
-    def held(left: Tensor) -> Tensor:
-        return sharp**2 / (left.square() + sharp**2)
+        return 1 - surely_sharp(turning) * held(left, sharp)
 
     on_edge, at_corner = free(torch.maximum(third, bend / 2), 2 * second), free(fourth, 3 * third)  # of equal s
     if groups.missing is not None:
         border = torch.segment_reduce(groups.missing.any(0).to(mean.dtype), "max", offsets=groups.offsets) > 0
         on_edge = torch.where(border, free(second, mean * count), on_edge)
-    return torch.stack([measures.height, on_edge, at_corner, 1 - held(mean), torch.minimum(on_edge, at_corner)]).T
+    inside = 1 - held(mean, sharp)
+    return torch.stack([measures.height, on_edge, at_corner, inside, torch.minimum(on_edge, at_corner)]).T
 
 
 def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | Float[Tensor, "nE 2"]:
@@ -103,6 +103,91 @@ def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | 
     return torch.stack([height, factor]).T
 
 
+class Crisp(NamedTuple):
+    """Factors of displacements: 1, but down to 0 where all the surface around is either flat or turns sharply."""
+
+    vertices: Float[Tensor, " nV"]  # around: at all edges of a vertex
+    edges: Float[Tensor, " nE"]  # the edge itself, which must be flat, and the other edges of its faces
+    corners: Float[Tensor, " nV"]  # as of vertices, but 1 where less than three of its edges are sharp
+
+
+def crisp_factors(level: LevelFlaps, positions: Float[Tensor, "nV 3"]) -> Crisp:
+    """What the corners of a solid's faces and the diagonals of these must not move by, however many edges meet there.
+
+    What counts as flat depends on whether any edge around is sharp: beside sharp edges little is smooth.  Borders count
+    as sharp, but are free themselves.  `around_vertices` asks for less around a vertex, but for one, two or three sharp
+    edges.
+    """
+    faces, face_edges, halfedges = map(level.on_device, (level.topology.faces, level.topology.face_edges,
+                                                         level.topology.edge_halfedges))
+    if positions.device.type == "cpu" and 3 * len(faces) >= ENOUGH:
+        return crisp_by_kernel(faces, face_edges, halfedges, level.edges, positions)
+    normals = unit(area_normals(faces, by_columns(positions.detach())), 0.0)[0]
+    left, right = (halfedges // 3).clamp(min=0).T  # of a border too, where both are not the faces of an edge
+    s = (normals.index_select(1, left) - normals.index_select(1, right)).square().sum(0).sqrt() / 2
+    areas = normals.square().sum(0) > 0
+    s = torch.where(areas[left] & areas[right], s, 0)  # an edge with a face without area does not turn
+    is_border = (halfedges < 0).any(1)
+    sure = torch.where(is_border, 1, surely_sharp(s))
+
+    def around_vertex(values: Tensor, reduction: str, start: float) -> Tensor:
+        ends = level.edges.T.reshape(-1)
+        return positions.new_full((len(positions),), start).scatter_reduce(0, ends, values.repeat(2), reduction)
+
+    def around_edge(values: Tensor, of_two: Callable, start: float) -> Tensor:
+        a, b, c = values[face_edges.T]
+        of_face = torch.stack([of_two(b, c), of_two(c, a), of_two(a, b)], dim=1).reshape(-1)
+        return of_two(*torch.where(halfedges >= 0, of_face[halfedges.clamp(min=0)], start).T)
+
+    is_free = around_vertex(is_border.to(s.dtype), "amax", 0.0) > 0
+    near_vertex, near_edge = around_vertex(sure, "amax", 0.0), around_edge(sure, torch.maximum, 0.0)
+    of_vertices, of_edges = torch.zeros_like(near_vertex), torch.zeros_like(s)
+    for beside, (at_vertices, at_edges) in enumerate(zip(FLAT_AT_VERTICES, FLAT_AT_EDGES)):
+        hold = around_vertex(torch.maximum(sure, held(s, at_vertices)), "amin", 1.0)
+        of_vertices = torch.maximum(of_vertices, hold * near_vertex if beside else hold)
+        hold = torch.where(is_border, 0, held(s, at_edges))
+        hold = hold * around_edge(torch.maximum(sure, held(s, at_edges)), torch.minimum, 1.0)
+        of_edges = torch.maximum(of_edges, hold * near_edge if beside else hold)
+    of_vertices = torch.where(is_free, 0, of_vertices)
+    is_corner = (around_vertex(sure, "sum", 0.0) - 2).clamp(0, 1)
+    return Crisp(1 - of_vertices, 1 - of_edges, 1 - of_vertices * is_corner)
+
+
+def with_corners(around: Tensor | None, crisp: Crisp | None) -> Tensor | None:
+    """`around_vertices`, with crisp corners."""
+    if crisp is None or around is None or around.shape[1] == 1:
+        return around
+    height, on_edge, at_corner, inside, own = around.T
+    return torch.stack([height, on_edge, torch.minimum(at_corner, crisp.corners), inside, own]).T
+
+
+def crisp_by_kernel(
+    faces: Int[Tensor, "nF 3"], face_edges: Int[Tensor, "nF 3"], halfedges: Int[Tensor, "nE 2"],
+    edges: Int[Tensor, "nE 2"], positions: Float[Tensor, "nV 3"],
+) -> Crisp:
+    from neusub.kernel_faces import find_crisp
+
+    announce(find_crisp, "the network's kernels")
+    squares = [halved**2 for halved in (*FLAT_AT_VERTICES, *FLAT_AT_EDGES)]
+    numbers = positions.new_tensor([torch.finfo(positions.dtype).tiny, SHARP[0], 1 / (SHARP[1] - SHARP[0]), *squares])
+    normals, of_edge, of_vertices, of_edges = (positions.new_empty(size) for size in (
+        (len(faces), 3), (len(edges), 4), (len(positions), 4), len(edges)))
+    arrays = (faces, face_edges, halfedges, edges, positions.detach().contiguous())
+    find_crisp(*(x.numpy() for x in arrays), tuple(numbers.numpy()),  # type: ignore[call-arg]
+               *(x.numpy() for x in (normals, of_edge, of_vertices, of_edges)))
+    return Crisp(of_vertices[:, 0], of_edges, of_vertices[:, 3])
+
+
+def surely_sharp(s: Tensor) -> Tensor:
+    """From 0 to 1 over SHARP."""
+    return ((s - SHARP[0]) / (SHARP[1] - SHARP[0])).clamp(0, 1)
+
+
+def held(s: Tensor, halved: float) -> Tensor:
+    """From 1 down to 0: a half where s, by which the surface turns and should not, is `halved`."""
+    return halved**2 / (s.square() + halved**2)
+
+
 def flattened(heights: Float[Tensor, " m"], size: Float[Tensor, " m"], flat: float) -> Float[Tensor, " m"]:
     """A factor of displacements: h / (h + flat), with the height h in units of the size.
 
@@ -119,14 +204,15 @@ def means_of(groups: FlapGroups, size: Float[Tensor, " n"]) -> Float[Tensor, " m
 
 
 def settled(
-    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float, sharp: float
+    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float, sharp: float,
+    crisp: Crisp | None = None,
 ) -> Float[Tensor, "nV+nE 3"]:
     """A level's vertices, drawn to those of Loop's scheme where the surface before was nearly flat.
 
     The share of `after` is h / (h + settle) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
     comes to the same there; Loop's limit is smooth around irregular vertices too.  Along a boundary it is Loop's curve
     rule; the height there is at least h (h / edge), h from the neighbours' middle: bends go, corners stay.  What
-    `around_vertices` holds, stays as it is.
+    `around_vertices` holds, or `crisp_factors`, stays as it is.
     """
     points, shares, columns = [], [], by_columns(before)
     for part in level.by_vertex.chunks():
@@ -154,7 +240,12 @@ def settled(
         points.append(inside if part.missing is None else
                       torch.where(part.missing.any(0)[::2, None], middle, inside))
     share = torch.cat(shares)
-    share = torch.cat([share, share[level.edges].mean(dim=1)])
+    if crisp is not None:
+        share = 1 - (1 - share) * crisp.vertices
+    of_edges = share[level.edges].mean(dim=1)
+    if crisp is not None:
+        of_edges = 1 - (1 - of_edges) * crisp.edges
+    share = torch.cat([share, of_edges])
     return torch.cat(points).lerp(after, share[:, None])
 
 
@@ -224,7 +315,7 @@ def turned_corners(
 def turned_by_kernel(
     faces: Int[Tensor, "k*nF_0 3"], normals: Float[Tensor, "3 nF_0"], positions: Float[Tensor, "nV 3"]
 ) -> Bool[Tensor, " n"]:
-    from neusub.kernel_frames import turned_over
+    from neusub.kernel_faces import turned_over
 
     announce(turned_over, "the network's kernels")
     results = torch.empty(len(faces), dtype=torch.bool)

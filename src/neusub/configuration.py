@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
-__all__ = ["PRESETS", "Architecture", "PairConfig", "TrainingConfig"]
+__all__ = ["FOR_USE", "PRESETS", "Architecture", "PairConfig", "TrainingConfig"]
 
 
 Bound = tuple[float, float] | tuple[float, float, float]  # in shortest edges, heights[, smallest altitudes]
@@ -32,10 +32,14 @@ class Architecture:
     bound: Bound | None = None  # of displacements (`bounds.py`)
     trained: int = 2  # levels; beyond them `settle` acts
     settle: float = 0.0  # vertices go over to Loop's points where heights are below this many edges; 0: they do not
+    crisp: bool = False  # nothing moves where all around is either flat or sharp edges (`bounds.py`)
     unturned: bool = False  # no triangle is turned over that is not in the midpoint refinement (`bounds.py`)
 
     def __post_init__(self) -> None:
         check_bound(self.bound)
+
+
+FOR_USE = "bound", "sharp", "settle", "crisp", "unturned"  # of `TrainingConfig`: what changes nothing that is learned
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,7 @@ class TrainingConfig:
     bound: Bound = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
     sharp: float = 0.0  # of the trained model; `network` has that of the training
     settle: float = 0.0  # of the trained model, beyond `levels`
+    crisp: bool = False  # of the trained model
     unturned: bool = False  # of the trained model
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     seed: int = 0
@@ -69,13 +74,17 @@ class TrainingConfig:
         if self.epochs % self.cycles:
             raise ValueError(f"epochs = {self.epochs}, cycles = {self.cycles}: take a multiple, or one cycle.")
         check_bound(self.bound)
-        if self.network.settle or self.network.unturned:
-            raise ValueError(f"network.settle = {self.network.settle}, network.unturned = {self.network.unturned}: "
-                             "give the training's own, for use.")
+        for name in ("settle", "crisp", "unturned"):
+            if getattr(self.network, name):
+                raise ValueError(f"network.{name} = {getattr(self.network, name)}: give the training's own, for use.")
         if not 0 <= self.shallow <= 1:
             raise ValueError(f"shallow = {self.shallow}: take a share, 0 to 1.")
         if not self.learning_rate > 0:
             raise ValueError(f"learning_rate = {self.learning_rate}: take a positive number.")
+
+    def for_use(self, levels: int) -> Architecture:
+        """The network that comes out of the training; levels: how many it had."""
+        return replace(self.network, trained=levels, **{name: getattr(self, name) for name in FOR_USE})
 
 
 PRESETS = {
@@ -85,7 +94,7 @@ PRESETS = {
                               shallow=0.6, loss="surface",
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.2, unturned=True),
+                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.2, crisp=True, unturned=True),
 }
 
 

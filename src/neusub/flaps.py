@@ -97,10 +97,10 @@ class LevelFlaps:
     edges: Int[Tensor, "nE 2"]
     topology: Topology
 
-    def refined_faces(self) -> Int[Tensor, "4*nF 3"]:
-        """Faces of the next level, on the device."""
-        faces = np.require(self.topology.refined_faces, requirements="W")  # torch warns of what a mesh has frozen
-        return torch.as_tensor(faces, device=self.edges.device)
+    def on_device(self, indices: np.ndarray) -> Tensor:
+        """An array of the topology, to be read."""
+        writable = np.require(indices, requirements="W")  # torch warns of what a mesh has frozen
+        return torch.as_tensor(writable, device=self.edges.device)
 
 
 def level_flaps(topology: Topology, device: torch.device | str = "cpu") -> LevelFlaps:

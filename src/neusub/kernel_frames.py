@@ -1,8 +1,7 @@
-"""Half-flaps and their frames, compiled: what is seen in them, what is said out of them, and the gradients of both; and
-which triangles are turned over.
+"""Half-flaps and their frames, compiled: what is seen in them, what is said out of them, and the gradients of both.
 
-Arrays are trusted; for `kernels.py`, `compiled.py` and `bounds.py`.  `frames.py` and `bounds.py` say what the numbers
-mean, and the letters are theirs.  Vectors are tuples of three; rows of arrays hold them one after another.
+Kernels on arrays that they trust, for `kernels.py` and `compiled.py`; `frames.py` and `bounds.py` say what the numbers
+mean, and the letters are theirs.  Vectors are tuples of three; rows of arrays hold them one after the other.
 """
 
 from __future__ import annotations
@@ -12,8 +11,7 @@ from numba import njit
 
 from neusub import compilation
 
-__all__ = ["MEASURES", "TURNING", "look", "look_back", "measure", "speak", "speak_back", "sum_stars",
-           "turned_over"]
+__all__ = ["MEASURES", "TURNING", "look", "look_back", "measure", "speak", "speak_back", "sum_stars"]
 
 COMPILED = {**compilation.COMPILED, **compilation.CONTRACTED}
 INNER = {**compilation.INNER, **compilation.CONTRACTED}
@@ -338,17 +336,3 @@ def sum_stars(shape, constants, first, last, sums):
         if framed:
             put(sums, g, 4, up)
             sums[g, 7], sums[g, 8], sums[g, 9], sums[g, 10] = s1, s2, s3, s4
-
-
-# --- triangles ---------------------------------------------------------------------------------------------------
-
-
-@njit(**COMPILED)
-def turned_over(faces, normals, positions, least, results):
-    """Whether the cosine of each face's angle to its normal, that of its block's row, is below the least."""
-    for i in range(len(faces)):
-        row = i % len(normals)
-        a = get(positions, faces[i, 0], 0)
-        now = cross(minus(get(positions, faces[i, 1], 0), a), minus(get(positions, faces[i, 2], 0), a))
-        then = get(normals, row, 0)
-        results[i] = dot(now, then) < least * np.sqrt(dot(now, now)) * np.sqrt(dot(then, then))

@@ -12,7 +12,7 @@ import json
 import time
 import warnings
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass, fields, replace
+from dataclasses import asdict, dataclass, fields
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from safetensors.torch import save_file
 from torch import Tensor
 
 from neusub import __version__
-from neusub.configuration import PRESETS, TrainingConfig
+from neusub.configuration import FOR_USE, PRESETS, TrainingConfig
 from neusub.errors import PairFileError, TrainingError
 from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, scaled, shortened
@@ -110,9 +110,7 @@ class _Run:
 
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
-        plan = replace(self.config.network, bound=self.config.bound, sharp=self.config.sharp,
-                       settle=self.config.settle, unturned=self.config.unturned,
-                       trained=max(pair.levels for pair in self.pairs))
+        plan = self.config.for_use(max(pair.levels for pair in self.pairs))
         network = NeuralSubdivision(plan)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
         keys = ("file", "hash", "source", "source_hash", "split", "licence", "count")
@@ -278,7 +276,7 @@ def load_checkpoint(path: Path, run: _Run) -> None:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
-    free = {"device", "threads", "checkpoint_every", "bound", "sharp", "settle", "unturned"}  # change nothing learned
+    free = {"device", "threads", "checkpoint_every", *FOR_USE}  # change nothing learned
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
     lengths = [config["epochs"] // config["cycles"] for config in ({**default, **header["config"]}, here)]
     if run.config.schedule == "constant" or lengths[0] == lengths[1]:  # a run may go on for more cycles
