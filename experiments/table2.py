@@ -11,8 +11,9 @@ where the decimation put them.  Adds a part to results/table2.json; the numbers 
 
 --epochs stops the training sooner (its rate is constant).  --loss surface is not the paper's: the same network and
 pairs, the distance to the target with half of the error along the surface forgiven, batches of two and a cosine
-schedule, 150 epochs; its part is named with the loss.  --vertices 250:350 makes the training's coarse meshes as large
-as those of the authors' public elephant pairs are (251 to 350), whatever the paper says; its part is named with them.
+schedule (or --cycles of them), 150 epochs; its part is named with the loss.  --vertices 250:350 makes the training's
+coarse meshes as large as those of the authors' public elephant pairs are (251 to 350), whatever the paper says; its
+part is named with them.
 """
 
 from __future__ import annotations
@@ -72,7 +73,8 @@ def trained(part: str, options: argparse.Namespace) -> tuple[TrainingResult, dic
     files = [read_header(file)["report"] for file in report.train]
     settings = replace(PRESETS["paper"], seed=options.seed, threads=options.threads, epochs=options.epochs or 700)
     if options.loss == "surface":
-        settings = replace(settings, loss="surface", batch=2, schedule="cosine", epochs=options.epochs or 150)
+        settings = replace(settings, loss="surface", batch=2, schedule="cosine", epochs=options.epochs or 150,
+                           cycles=options.cycles)
         folder = folder.with_name(f"{folder.name}-surface")
     result = train(report.train, report.validation, Path(f"{folder}-run"), settings, resume=True, on_epoch=show)
     return result, {key: float(np.mean([file[key] for file in files])) for key in files[0]}
@@ -145,6 +147,7 @@ def main() -> None:
     parser.add_argument("--inputs", type=Path, help="tosca8_coarse.npz, the eight fixed inputs")
     parser.add_argument("--part", choices=tuple(PARTS), default="top")
     parser.add_argument("--epochs", type=int, help="700, or 150 of --loss surface")
+    parser.add_argument("--cycles", type=int, default=1, help="a run can go on for more of the same length")
     parser.add_argument("--loss", choices=("squared", "surface"), default="squared")
     parser.add_argument("--vertices", type=fewest_and_most, default=VERTICES, metavar="FEWEST:MOST",
                         help="of the training's coarse meshes; 150:300")
