@@ -201,6 +201,15 @@ def stretched(shape: Shape, times: float = 50.0) -> Shape:
     return vertices + (times - 1) * (vertices @ axis)[:, None] * axis, faces
 
 
+def with_gap_closed(shape: Shape, f: int) -> Shape:
+    """With a vertex in the middle of face f's first edge, and a face without area between it and that edge."""
+    vertices, faces = shape
+    a, b, c = faces[f]
+    m, others = len(vertices), np.delete(faces, f, axis=0)
+    vertices = np.vstack([vertices, (vertices[a] + vertices[b]) / 2])
+    return vertices, np.vstack([others, [[a, m, c], [m, b, c], [a, b, m]]])
+
+
 def punctured(shape: Shape, at: list[int]) -> Shape:
     """Without the faces around some vertices; one whose hole would touch a boundary or another hole is passed over."""
     vertices, faces = shape

@@ -145,13 +145,25 @@ def test_the_kernel_finds_the_turned_triangles_that_tensors_find(dtype, monkeypa
     points = subdivision_matrix(topology, "midpoint") @ vertices
     noise = np.random.default_rng(0).normal(0, 0.2, points.shape)
     safe, wild = (torch.tensor(p, dtype=dtype) for p in (points, points + noise))
-    found = []
-    for enough in (0, np.inf):
-        monkeypatch.setattr(bounds, "ENOUGH", enough)
-        found.append(turned_corners(torch.tensor(fine), normals, safe)(wild))
-        assert len(turned_corners(torch.tensor(fine), normals, wild)(wild)) == 0
-    assert 0 < len(found[0]) < len(wild)
-    assert found[0].equal(found[1])
+    folded = safe.clone()
+    folded[fine[3]] = folded[fine[3, 0]].clone()  # one of its faces is a point, others are lines
+    for before, after in ((safe, wild), (wild, folded), (safe, folded), (folded, wild)):
+        found = []
+        for enough in (0, np.inf):
+            monkeypatch.setattr(bounds, "ENOUGH", enough)
+            found.append(turned_corners(torch.tensor(fine), normals, before)(after))
+        assert len(found[0]) < len(wild)
+        assert found[0].equal(found[1])
+    assert len(found[0]) > 0
+
+
+def test_gradients_go_through_where_kernels_look_for_turned_triangles(monkeypatch):
+    vertices, faces = shapes.torus(9, 7)
+    monkeypatch.setattr(bounds, "ENOUGH", 0)
+    positions = torch.tensor(vertices, requires_grad=True)
+    network = random_network(**HELD, unturned=True, crisp=True)
+    network(positions, flaps_of(faces, len(vertices)))[-1].square().sum().backward()
+    assert positions.grad is not None and positions.grad.abs().max() > 0
 
 
 def test_where_nothing_is_turned_over_positions_are_the_networks():
@@ -309,13 +321,17 @@ def test_curved_shapes_are_not_crisp(make):
 
 
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
-@pytest.mark.parametrize("make", [shapes.cube, lambda: bent_cube()[:2], lambda: shapes.bumpy(shapes.torus(9, 7)),
-                                  lambda: shapes.open_cylinder(5, 3), shapes.collinear_face, shapes.tetrahedron])
+@pytest.mark.parametrize("make", [
+    shapes.cube, lambda: bent_cube()[:2], lambda: shapes.bumpy(shapes.torus(9, 7)), lambda: shapes.open_cylinder(5, 3),
+    shapes.collinear_face, shapes.tetrahedron, lambda: shapes.with_null_edges(shapes.icosphere(2), 10),
+    lambda: shapes.with_gap_closed(shapes.cube(), 3),
+])
 def test_the_kernel_finds_the_factors_that_tensors_find(make, dtype, monkeypatch):
     found = []
     for enough in (0, np.inf):
         monkeypatch.setattr(bounds, "ENOUGH", enough)
         vertices, faces = make()
+        vertices = vertices @ rotation().T
         found.append(crisp_factors(flaps_of(faces, len(vertices), 1)[0], torch.as_tensor(vertices, dtype=dtype)))
     for a, b in zip(*found):
         assert a.dtype == b.dtype == dtype
@@ -324,7 +340,8 @@ def test_the_kernel_finds_the_factors_that_tensors_find(make, dtype, monkeypatch
 
 @pytest.mark.parametrize("settle", [0.0, 0.05])
 def test_a_solid_with_a_corner_of_six_sharp_edges_stays_that_solid(settle):
-    vertices, faces = shapes.voxels({(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)})
+    solid = shapes.voxels({(0, 0, 0), (1, 0, 0), (0, 1, 0), (0, 0, 1)})
+    vertices, faces = shapes.with_gap_closed(solid, 7)
     turn = rotation()
     for crisp in (True, False):
         network = random_network(**HELD, trained=1, settle=settle, crisp=crisp)

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 import shapes
 from decimatable import CLOSED, OPEN, SHAPES, decimated, mesh_of, meshes
-from neusub.compilation import announce
+from neusub.compilation import announce, say_that_it_compiles
 from neusub.errors import DecimationError
 from neusub.mesh import Mesh
 from neusub.selfparam import STRATEGIES, Criteria, SelfParameterization, decimate
@@ -320,10 +320,17 @@ def test_the_order_in_memory_changes_nothing_but_time(monkeypatch):
 
 def test_a_compilation_is_announced_once_on_a_machine(tmp_path, caplog):
     stats = SimpleNamespace(cache_path=str(tmp_path))
-    kernel = SimpleNamespace(py_func=run.py_func, stats=stats, signatures=[])
-    announce(kernel, "kernels")
-    assert [record.message for record in caplog.records] == ["neusub: compiling kernels, once on this machine ..."]
-    for known in (SimpleNamespace(py_func=run.py_func, stats=stats, signatures=["compiled"]), kernel):
-        announce(known, "kernels")
-        (tmp_path / "collapse.run-75.py311.nbi").touch()  # as numba names them
+    fresh, known = (SimpleNamespace(py_func=run.py_func, stats=stats, signatures=x) for x in ([], ["compiled"]))
+
+    def announced(kernel) -> list[str]:
+        say_that_it_compiles.cache_clear()
+        caplog.clear()
+        announce(kernel, "kernels")
+        return [record.message for record in caplog.records]
+
+    assert announced(fresh) == ["neusub: compiling kernels, once on this machine ..."]
+    announce(fresh, "kernels")  # another one that belongs to the first
     assert len(caplog.records) == 1
+    assert announced(known) == []
+    (tmp_path / "collapse.run-75.py311.nbi").touch()  # as numba names them
+    assert announced(fresh) == []

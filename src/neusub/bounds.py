@@ -16,7 +16,7 @@ from torch import Tensor
 from neusub.compilation import ENOUGH, announce
 from neusub.configuration import Bound
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
-from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns, unit
+from neusub.frames import cross, edge_vectors, local_frames, rounding, sizes, squared_lengths, turn_sums, turns, unit
 
 __all__ = ["Crisp", "Measures", "area_normals", "around_edges", "around_vertices", "bounded", "crisp_factors",
            "flattened", "measured", "moved_back", "settled", "turned_corners", "unturned", "with_corners"]
@@ -120,9 +120,13 @@ def crisp_factors(level: LevelFlaps, positions: Float[Tensor, "nV 3"]) -> Crisp:
     """
     faces, face_edges, halfedges = map(level.on_device, (level.topology.faces, level.topology.face_edges,
                                                          level.topology.edge_halfedges))
-    if positions.device.type == "cpu" and 3 * len(faces) >= ENOUGH:
-        return crisp_by_kernel(faces, face_edges, halfedges, level.edges, positions)
-    normals = unit(area_normals(faces, by_columns(positions.detach())), 0.0)[0]
+    positions = positions.detach()
+    reach = positions.abs().max().square()  # heights of a triangle that are rounding errors of its corners are none
+    if by_kernel(faces, positions):
+        return crisp_by_kernel(faces, face_edges, halfedges, level.edges, positions, float(reach))
+    a, b, c = by_columns(positions).T.index_select(1, faces.T.reshape(-1)).view(3, 3, -1).unbind(1)
+    longest = torch.maximum((b - a).square().sum(0), (c - a).square().sum(0))
+    normals = unit(cross(b - a, c - a), longest * reach)[0]
     left, right = (halfedges // 3).clamp(min=0).T  # of a border too, where both are not the faces of an edge
     s = (normals.index_select(1, left) - normals.index_select(1, right)).square().sum(0).sqrt() / 2
     areas = normals.square().sum(0) > 0
@@ -163,16 +167,17 @@ def with_corners(around: Tensor | None, crisp: Crisp | None) -> Tensor | None:
 
 def crisp_by_kernel(
     faces: Int[Tensor, "nF 3"], face_edges: Int[Tensor, "nF 3"], halfedges: Int[Tensor, "nE 2"],
-    edges: Int[Tensor, "nE 2"], positions: Float[Tensor, "nV 3"],
+    edges: Int[Tensor, "nE 2"], positions: Float[Tensor, "nV 3"], reach: float,
 ) -> Crisp:
     from neusub.kernel_faces import find_crisp
 
     announce(find_crisp, "the network's kernels")
     squares = [halved**2 for halved in (*FLAT_AT_VERTICES, *FLAT_AT_EDGES)]
-    numbers = positions.new_tensor([torch.finfo(positions.dtype).tiny, SHARP[0], 1 / (SHARP[1] - SHARP[0]), *squares])
+    limit = torch.finfo(positions.dtype)
+    numbers = positions.new_tensor([limit.tiny, rounding(limit) * reach, SHARP[0], 1 / (SHARP[1] - SHARP[0]), *squares])
     normals, of_edge, of_vertices, of_edges = (positions.new_empty(size) for size in (
         (len(faces), 3), (len(edges), 4), (len(positions), 4), len(edges)))
-    arrays = (faces, face_edges, halfedges, edges, positions.detach().contiguous())
+    arrays = (faces, face_edges, halfedges, edges, positions.contiguous())
     find_crisp(*(x.numpy() for x in arrays), tuple(numbers.numpy()),  # type: ignore[call-arg]
                *(x.numpy() for x in (normals, of_edge, of_vertices, of_edges)))
     return Crisp(of_vertices[:, 0], of_edges, of_vertices[:, 3])
@@ -268,6 +273,12 @@ def bounded(
     return move * ((1 + ratio.square()).sqrt().rsqrt() * (limit / NOTHING).clamp(max=1))[:, None]
 
 
+def by_kernel(faces: Tensor, positions: Tensor) -> bool:
+    """Whether a kernel is to look at the faces: on a CPU, if there are enough of them to be worth its compilation."""
+    return (positions.device.type == "cpu" and positions.dtype in (torch.float32, torch.float64)
+            and 3 * len(faces) >= ENOUGH)
+
+
 def area_normals(faces: Int[Tensor, "nF 3"], positions: Float[Tensor, "nV 3"]) -> Float[Tensor, "3 nF"]:
     """Normals of the faces, as long as their double areas; one row a coordinate."""
     a, b, c = positions.T.index_select(1, faces.T.reshape(-1)).view(3, 3, -1).unbind(1)
@@ -291,7 +302,7 @@ def turned_corners(
     normals: `area_normals` of the input's faces; those of `faces` come from them block by block.
     """
     def turned_over(positions: Tensor) -> Bool[Tensor, " n"]:
-        if positions.device.type == "cpu" and 3 * len(faces) >= ENOUGH:
+        if by_kernel(faces, positions):
             return turned_by_kernel(faces, normals, positions)
         columns, results = by_columns(positions), []
         for part in faces.split(normals.shape[1] * max(1, CHUNK // normals.shape[1])):
@@ -319,7 +330,7 @@ def turned_by_kernel(
 
     announce(turned_over, "the network's kernels")
     results = torch.empty(len(faces), dtype=torch.bool)
-    rows, least = normals.T.contiguous().numpy(), normals.new_tensor(TURNED).numpy()[()]
+    rows, least = normals.detach().T.contiguous().numpy(), normals.new_tensor(TURNED).numpy()[()]
     turned_over(faces.numpy(), rows, positions.detach().contiguous().numpy(), least, results.numpy())
     return results
 

@@ -11,7 +11,8 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-__all__ = ["ALLOCATES", "COMPILED", "CONTRACTED", "ENOUGH", "INNER", "ONCE", "announce"]
+__all__ = ["ALLOCATES", "COMPILED", "CONTRACTED", "ENOUGH", "INNER", "ONCE", "announce",
+           "say_that_it_compiles"]
 
 # Most kernels allocate nothing, so numba need not count references to arrays (`_nrt`; counting took a third to a half
 # of the time).  Then no array is assigned to a slice as a whole.  Divisions by zero give inf, as in numpy.

@@ -20,6 +20,7 @@ from neusub.bounds import Measures
 from neusub.compilation import ENOUGH, announce
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups
+from neusub.frames import rounding
 from neusub.layers import Weights, columns, for_table
 
 __all__ = ["Measuring", "Said", "said", "serves", "star_sums"]
@@ -204,7 +205,7 @@ def constants_of(dtype: torch.dtype, is_relative: bool, is_silu: bool) -> Consta
     limit = np.finfo(kind)
     powers = [log(2) ** k / factorial(k) for k in reversed(range(terms))]
     return Constants(
-        one=kind(1), rounding=kind((16 * limit.eps) ** 2), tiny=limit.tiny, fifth=kind(1 / 5),
+        one=kind(1), rounding=kind(rounding(torch.finfo(dtype))), tiny=limit.tiny, fifth=kind(1 / 5),
         is_relative=is_relative, is_silu=is_silu, powers=tuple(map(kind, powers)), log2_e=kind(1 / log(2)),
         magic=kind(1.5 * 2.0**limit.nmant), largest=kind(-limit.minexp - 1))
 

@@ -13,18 +13,23 @@ from torch import Tensor
 from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
 __all__ = [
-    "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "sizes",
+    "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "rounding", "sizes",
     "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals", "vertex_turns",
 ]
 
 TURNS = 4  # numbers of `vertex_turns`
 
 
+def rounding(limit: torch.finfo) -> float:
+    """The square of a length that may be nothing but rounding errors of numbers of size 1."""
+    return (16 * limit.eps) ** 2
+
+
 def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
     """The vector's direction, and whether it has one: its length exceeds rounding errors of `size`, squared."""
     squared = vector.square().sum(-2, keepdim=True)
     limit = torch.finfo(vector.dtype)
-    defined = squared > (16 * limit.eps) ** 2 * size + limit.tiny
+    defined = squared > rounding(limit) * size + limit.tiny
     return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined
 
 
@@ -111,7 +116,7 @@ def star_sums(
     return torch.cat(parts)
 
 
-def differential_coordinates(stars: Float[Tensor, "nV 4+"]) -> Float[Tensor, "nV 3"]:
+def differential_coordinates(stars: Float[Tensor, "nV 4"] | Float[Tensor, "nV 11"]) -> Float[Tensor, "nV 3"]:
     """Each vertex minus the mean of its neighbours, from its `star_sums`; if they are `relative`, in units of the mean
     length of its edges.
 
@@ -145,15 +150,17 @@ def turn_sums(
     return pool(groups, torch.stack([s, squared, squared * s, squared.square(), *(s * axes[0])], dim=1)).T
 
 
-def turns(sums: Float[Tensor, "7 m"], count: Int[Tensor, " m"]) -> Float[Tensor, "5 m"]:
+def turns(
+    sums: Float[Tensor, "7 m"] | Float[Tensor, "4 m"], count: Int[Tensor, " m"]
+) -> Float[Tensor, "5 m"]:
     """At how many of a vertex's edges the surface turns, and how far; from their `turn_sums` and number.
 
     With e1 .. e4 the elementary symmetric polynomials of a vertex's s: their mean, e2 / e1, e3 / e2 and e4 / e3.  Each
     ratio is about the sum of all s but the one, two, three largest, where these are much larger.  So the third number
     is zero on a sharp edge between flat faces, where the surface turns at two edges, and the fourth at a corner of
     three such faces.
-    The fifth is the length of the sum of s x over that of s: zero where the edges that turn lead on straight, the sine
-    of half the bend of two that do not.
+    The fifth is the length of the sum of s x, if that is given, over that of s: zero where the edges that turn lead on
+    straight, the sine of half the bend of two that do not.
     """
     p1, p2, p3, p4 = sums[:4]
     least = torch.finfo(p1.dtype).tiny
