@@ -1,6 +1,6 @@
 """What keeps a trained network in check on meshes and levels that its training had none of: bounds of displacements,
-fading on flat faces and around their sharp edges, Loop's points where the surface is nearly flat, and no triangle
-turned over.  Not in the paper.
+fading on flat faces and around their sharp edges, rest where all around is flat or sharp, Loop's points where the surface
+is nearly flat, and no triangle turned over.  Not in the paper.
 """
 
 from __future__ import annotations
