@@ -1,6 +1,6 @@
 """What keeps a trained network in check on meshes and levels that its training had none of: bounds of displacements,
-fading on flat faces and around their sharp edges, rest where all around is flat or sharp, Loop's points where the surface
-is nearly flat, and no triangle turned over.  Not in the paper.
+fading on flat faces and around their sharp edges, rest where all around is flat or sharp, Loop's points where the
+surface is nearly flat, and no triangle turned over.  Not in the paper.
 """
 
 from __future__ import annotations
@@ -217,7 +217,7 @@ def settled(
     The share of `after` is h / (h + settle) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
     comes to the same there; Loop's limit is smooth around irregular vertices too.  Along a boundary it is Loop's curve
     rule; the height there is at least h (h / edge), h from the neighbours' middle: bends go, corners stay.  What
-    `around_vertices` holds, or `crisp_factors`, stays as it is.
+    `around_vertices` holds stays as it is, and crisp corners do.
     """
     points, shares, columns = [], [], by_columns(before)
     for part in level.by_vertex.chunks():
@@ -246,11 +246,8 @@ def settled(
                       torch.where(part.missing.any(0)[::2, None], middle, inside))
     share = torch.cat(shares)
     if crisp is not None:
-        share = 1 - (1 - share) * crisp.vertices
-    of_edges = share[level.edges].mean(dim=1)
-    if crisp is not None:
-        of_edges = 1 - (1 - of_edges) * crisp.edges
-    share = torch.cat([share, of_edges])
+        share = 1 - (1 - share) * crisp.corners
+    share = torch.cat([share, share[level.edges].mean(dim=1)])
     return torch.cat(points).lerp(after, share[:, None])
 
 
