@@ -1,6 +1,6 @@
 """What keeps a trained network in check on meshes and levels that its training had none of: bounds of displacements,
-fading on flat faces and around their sharp edges, rest where all around is flat or sharp, Loop's points where the
-surface is nearly flat, and no triangle turned over.  Not in the paper.
+fading on flat faces and around their sharp edges, the planes of faces between flat and sharp edges, Loop's points where
+the surface is nearly flat, and no triangle turned over.  Not in the paper.
 """
 
 from __future__ import annotations
@@ -18,13 +18,13 @@ from neusub.configuration import Bound
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
 from neusub.frames import cross, edge_vectors, local_frames, rounding, sizes, squared_lengths, turn_sums, turns, unit
 
-__all__ = ["Crisp", "Measures", "area_normals", "around_edges", "around_vertices", "bounded", "crisp_factors",
-           "flattened", "measured", "moved_back", "settled", "turned_corners", "unturned", "with_corners"]
+__all__ = ["Measures", "Planes", "area_normals", "around_edges", "around_vertices", "bounded", "flat_planes",
+           "flattened", "in_planes", "measured", "moved_back", "settled", "turned_corners", "unturned"]
 
 SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
 
-FLAT_AT_VERTICES = 0.05, 0.1  # sines of half the angles that halve the hold of `crisp_factors`: away from sharp edges,
-FLAT_AT_EDGES = 0.01, 0.06  # and beside them
+FLAT_AT_VERTICES = 0.01, 0.04  # sines of half the angles that halve a plane's weight in `flat_planes`: away from sharp
+FLAT_AT_EDGES = 0.006, 0.02  # edges, and beside them
 
 TURNED = 0.05  # a triangle is turned over where the cosine of its angle to the input's face is below: at 87 degrees
 
@@ -103,84 +103,84 @@ def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | 
     return torch.stack([height, factor]).T
 
 
-class Crisp(NamedTuple):
-    """Factors of displacements: 1, but down to 0 where all the surface around is either flat or turns sharply."""
+class Planes(NamedTuple):
+    """Matrices that take from displacements what leaves the planes of flat faces (`flat_planes`)."""
 
-    vertices: Float[Tensor, " nV"]  # around: at all edges of a vertex
-    edges: Float[Tensor, " nE"]  # the edge itself, which must be flat, and the other edges of its faces
-    corners: Float[Tensor, " nV"]  # as of vertices, but 1 where less than three of its edges are sharp
+    vertices: Float[Tensor, "nV 3 3"]
+    edges: Float[Tensor, "nE 3 3"]
 
 
-def crisp_factors(level: LevelFlaps, positions: Float[Tensor, "nV 3"]) -> Crisp:
-    """What the corners of a solid's faces and the diagonals of these must not move by, however many edges meet there.
+def flat_planes(level: LevelFlaps, positions: Float[Tensor, "nV 3"]) -> Planes:
+    """For each vertex, and the midpoint of each edge, its faces whose own three edges are each either flat or sharp.
 
-    What counts as flat depends on whether any edge around is sharp: beside sharp edges little is smooth.  Borders count
-    as sharp, but are free themselves.  `around_vertices` asks for less around a vertex, but for one, two or three sharp
-    edges.
+    So the corners of a solid stay, points on its edges stay on their line, and those inside its sides in their plane,
+    however many edges meet there and whatever else does.  The rim of a cylinder is free: of its two faces, one has an
+    edge that is neither.  What counts as flat depends on whether one of the three edges is sharp, for little is smooth
+    beside sharp edges.  Borders count as sharp.
+
+    A face's plane counts with a weight w from 0 to 1, and n is its normal: the matrix is the inverse of
+    1 + sum of w / (1 - w) n n^T, which leaves 1 - w of a displacement along n where there is one face.
     """
     faces, face_edges, halfedges = map(level.on_device, (level.topology.faces, level.topology.face_edges,
                                                          level.topology.edge_halfedges))
     positions = positions.detach()
     reach = positions.abs().max().square()  # heights of a triangle that are rounding errors of its corners are none
     if by_kernel(faces, positions):
-        return crisp_by_kernel(faces, face_edges, halfedges, level.edges, positions, float(reach))
+        return planes_by_kernel(faces, face_edges, halfedges, positions, float(reach))
     a, b, c = by_columns(positions).T.index_select(1, faces.T.reshape(-1)).view(3, 3, -1).unbind(1)
     longest = torch.maximum((b - a).square().sum(0), (c - a).square().sum(0))
     normals = unit(cross(b - a, c - a), longest * reach)[0]
     left, right = (halfedges // 3).clamp(min=0).T  # of a border too, where both are not the faces of an edge
     s = (normals.index_select(1, left) - normals.index_select(1, right)).square().sum(0).sqrt() / 2
-    areas = normals.square().sum(0) > 0
-    s = torch.where(areas[left] & areas[right], s, 0)  # an edge with a face without area does not turn
-    is_border = (halfedges < 0).any(1)
-    sure = torch.where(is_border, 1, surely_sharp(s))
+    has_area = normals.square().sum(0) > 0
+    s = torch.where(has_area[left] & has_area[right], s, 0)  # an edge with a face without area does not turn
+    is_border = halfedges < 0
+    sure = torch.where(is_border.any(1), 1, surely_sharp(s))
+    near = sure[face_edges].amax(1)
+    products = normals[:, None] * normals  # (3, 3, nF)
 
-    def around_vertex(values: Tensor, reduction: str, start: float) -> Tensor:
-        ends = level.edges.T.reshape(-1)
-        return positions.new_full((len(positions),), start).scatter_reduce(0, ends, values.repeat(2), reduction)
+    def stiff(halved: tuple[float, float]) -> Float[Tensor, "nF 3 3"]:
+        far, beside = (torch.maximum(sure, held(s, at))[face_edges].amin(1) for at in halved)
+        weight = torch.maximum(far, near * beside).clamp(max=firm(positions.dtype))
+        return (products * (weight / (1 - weight))).permute(2, 0, 1)
 
-    def around_edge(values: Tensor, of_two: Callable, start: float) -> Tensor:
-        a, b, c = values[face_edges.T]
-        of_face = torch.stack([of_two(b, c), of_two(c, a), of_two(a, b)], dim=1).reshape(-1)
-        return of_two(*torch.where(halfedges >= 0, of_face[halfedges.clamp(min=0)], start).T)
+    def inverse(stiffness: Float[Tensor, "m 3 3"]) -> Float[Tensor, "m 3 3"]:
+        identity = torch.eye(3, dtype=torch.float64, device=positions.device)  # single precision is not enough
+        return torch.linalg.inv(stiffness + identity).to(positions.dtype)
 
-    is_free = around_vertex(is_border.to(s.dtype), "amax", 0.0) > 0
-    near_vertex, near_edge = around_vertex(sure, "amax", 0.0), around_edge(sure, torch.maximum, 0.0)
-    of_vertices, of_edges = torch.zeros_like(near_vertex), torch.zeros_like(s)
-    for beside, (at_vertices, at_edges) in enumerate(zip(FLAT_AT_VERTICES, FLAT_AT_EDGES)):
-        hold = around_vertex(torch.maximum(sure, held(s, at_vertices)), "amin", 1.0)
-        of_vertices = torch.maximum(of_vertices, hold * near_vertex if beside else hold)
-        hold = torch.where(is_border, 0, held(s, at_edges))
-        hold = hold * around_edge(torch.maximum(sure, held(s, at_edges)), torch.minimum, 1.0)
-        of_edges = torch.maximum(of_edges, hold * near_edge if beside else hold)
-    of_vertices = torch.where(is_free, 0, of_vertices)
-    is_corner = (around_vertex(sure, "sum", 0.0) - 2).clamp(0, 1)
-    return Crisp(1 - of_vertices, 1 - of_edges, 1 - of_vertices * is_corner)
+    of_vertices = positions.new_zeros(len(positions), 3, 3, dtype=torch.float64)
+    of_vertices.index_add_(0, faces.reshape(-1), stiff(FLAT_AT_VERTICES).double().repeat_interleave(3, 0))
+    of_faces, outside = stiff(FLAT_AT_EDGES), is_border[:, :, None, None]
+    of_edges = torch.where(outside[:, 0], 0, of_faces[left]) + torch.where(outside[:, 1], 0, of_faces[right])
+    return Planes(inverse(of_vertices), inverse(of_edges))
 
 
-def with_corners(around: Tensor | None, crisp: Crisp | None) -> Tensor | None:
-    """`around_vertices`, with crisp corners."""
-    if crisp is None or around is None or around.shape[1] == 1:
-        return around
-    height, on_edge, at_corner, inside, own = around.T
-    return torch.stack([height, on_edge, torch.minimum(at_corner, crisp.corners), inside, own]).T
-
-
-def crisp_by_kernel(
+def planes_by_kernel(
     faces: Int[Tensor, "nF 3"], face_edges: Int[Tensor, "nF 3"], halfedges: Int[Tensor, "nE 2"],
-    edges: Int[Tensor, "nE 2"], positions: Float[Tensor, "nV 3"], reach: float,
-) -> Crisp:
-    from neusub.kernel_faces import find_crisp
+    positions: Float[Tensor, "nV 3"], reach: float,
+) -> Planes:
+    from neusub.kernel_faces import find_planes
 
-    announce(find_crisp, "the network's kernels")
+    announce(find_planes, "the network's kernels")
     squares = [halved**2 for halved in (*FLAT_AT_VERTICES, *FLAT_AT_EDGES)]
     limit = torch.finfo(positions.dtype)
-    numbers = positions.new_tensor([limit.tiny, rounding(limit) * reach, SHARP[0], 1 / (SHARP[1] - SHARP[0]), *squares])
-    normals, of_edge, of_vertices, of_edges = (positions.new_empty(size) for size in (
-        (len(faces), 3), (len(edges), 4), (len(positions), 4), len(edges)))
-    arrays = (faces, face_edges, halfedges, edges, positions.contiguous())
-    find_crisp(*(x.numpy() for x in arrays), tuple(numbers.numpy()),  # type: ignore[call-arg]
-               *(x.numpy() for x in (normals, of_edge, of_vertices, of_edges)))
-    return Crisp(of_vertices[:, 0], of_edges, of_vertices[:, 3])
+    numbers = positions.new_tensor([limit.tiny, rounding(limit) * reach, SHARP[0], 1 / (SHARP[1] - SHARP[0]),
+                                    firm(positions.dtype), *squares])
+    of_face, of_edge, *results = (positions.new_empty(size) for size in (
+        (len(faces), 4), (len(halfedges), 2), (len(positions), 3, 3), (len(halfedges), 3, 3)))
+    arrays = faces, face_edges, halfedges, positions.contiguous(), of_face, of_edge, *results
+    find_planes(tuple(numbers.numpy()), *(x.numpy() for x in arrays))  # type: ignore[call-arg]
+    return Planes(*results)
+
+
+def firm(dtype: torch.dtype) -> float:
+    """The largest weight of a plane."""
+    return 1 - torch.finfo(dtype).eps ** 0.5
+
+
+def in_planes(move: Float[Tensor, "m 3"], matrices: Float[Tensor, "m 3 3"]) -> Float[Tensor, "m 3"]:
+    """Displacements without what leaves the planes."""
+    return torch.bmm(matrices, move[:, :, None])[..., 0]
 
 
 def surely_sharp(s: Tensor) -> Tensor:
@@ -209,15 +209,14 @@ def means_of(groups: FlapGroups, size: Float[Tensor, " n"]) -> Float[Tensor, " m
 
 
 def settled(
-    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float, sharp: float,
-    crisp: Crisp | None = None,
+    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float, sharp: float
 ) -> Float[Tensor, "nV+nE 3"]:
     """A level's vertices, drawn to those of Loop's scheme where the surface before was nearly flat.
 
     The share of `after` is h / (h + settle) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
     comes to the same there; Loop's limit is smooth around irregular vertices too.  Along a boundary it is Loop's curve
     rule; the height there is at least h (h / edge), h from the neighbours' middle: bends go, corners stay.  What
-    `around_vertices` holds stays as it is, and crisp corners do.
+    `around_vertices` holds stays as it is.
     """
     points, shares, columns = [], [], by_columns(before)
     for part in level.by_vertex.chunks():
@@ -245,8 +244,6 @@ def settled(
         points.append(inside if part.missing is None else
                       torch.where(part.missing.any(0)[::2, None], middle, inside))
     share = torch.cat(shares)
-    if crisp is not None:
-        share = 1 - (1 - share) * crisp.corners
     share = torch.cat([share, share[level.edges].mean(dim=1)])
     return torch.cat(points).lerp(after, share[:, None])
 

@@ -96,7 +96,7 @@ def train_command(
     out: Output,
     *,
     validation: tuple[Path, ...] = (),
-    preset: Literal["paper", "fast", "default"] = "paper",
+    preset: Literal["paper", "fast", "default", "default-decimated"] = "paper",
     epochs: int | None = None,
     cycles: int | None = None,
     batch: int | None = None,
@@ -116,7 +116,8 @@ def train_command(
         out: Folder for the model, checkpoint.safetensors, log.csv and TensorBoard events.
         validation: Pair files to choose the best epoch by.
         preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs; default:
-            the network that 'neusub subdivide' uses, which knows no scale and has bounds.
+            the network that 'neusub subdivide' uses, which knows no scale and has bounds; default-decimated: the same
+            for decimated vertices.
         epochs: Instead of the preset's; so are the following.
         cycles: How often the learning rate of a cosine schedule goes down and starts anew; a divisor of the epochs. A
             run goes on for another: so many times the epochs and the cycles, with --resume.

@@ -32,7 +32,7 @@ class Architecture:
     bound: Bound | None = None  # of displacements (`bounds.py`)
     trained: int = 2  # levels; beyond them `settle` acts
     settle: float = 0.0  # vertices go over to Loop's points where heights are below this many edges; 0: they do not
-    crisp: bool = False  # nothing moves where all around is either flat or sharp edges (`bounds.py`)
+    crisp: bool = False  # displacements keep to the planes of faces between flat and sharp edges (`bounds.py`)
     unturned: bool = False  # no triangle is turned over that is not in the midpoint refinement (`bounds.py`)
 
     def __post_init__(self) -> None:
@@ -94,8 +94,9 @@ PRESETS = {
                               shallow=0.6, loss="surface",
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
-                              bound=(0.25, 0.6, 0.3), sharp=0.05, settle=0.2, crisp=True, unturned=True),
+                              bound=(0.25, 0.6, 0.3), sharp=0.04, settle=0.2, crisp=True, unturned=True),
 }
+PRESETS["default-decimated"] = replace(PRESETS["default"], input="decimated", sharp=0.08)
 
 
 @dataclass(frozen=True)

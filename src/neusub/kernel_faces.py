@@ -1,4 +1,4 @@
-"""Faces and their edges, compiled: where all around is flat or sharp, and which faces are turned over.
+"""Faces and their edges, compiled: planes that displacements keep to, and which faces are turned over.
 
 Kernels on arrays that they trust, for `bounds.py`, which says what the numbers mean and does the same with tensors.
 """
@@ -9,9 +9,9 @@ import numpy as np
 from numba import njit
 
 from neusub.compilation import COMPILED, INNER
-from neusub.kernel_frames import dot, get, minus, put, times
+from neusub.kernel_frames import dot, dots, get, minus, put, times
 
-__all__ = ["find_crisp", "turned_over"]
+__all__ = ["find_planes", "turned_over"]
 
 
 @njit(**INNER)
@@ -36,59 +36,74 @@ def turn_at(normals, left, right):
 
 
 @njit(**INNER)
-def crisp(s, sure, squared):
-    """How much an edge is either flat or sharp; squared: of the s that halves being flat."""
-    return max(sure, squared / (s * s + squared))
+def flat_or_sharp(of_edge, e, squared):
+    """Of an edge; squared: of the s that halves being flat."""
+    return max(of_edge[e, 1], squared / (of_edge[e, 0] * of_edge[e, 0] + squared))
 
 
 @njit(**INNER)
-def hold_of_edge(face_edges, halfedges, of_edge, e, e1, e2):
-    """How much the middle of an edge inside is to stay."""
-    squared, near = of_edge[e, 0] * of_edge[e, 0], of_edge[e, 1] - of_edge[e, 1]
-    around_1 = around_2 = near + 1
-    for side in range(2):
-        f, i = halfedges[e, side] // 3, halfedges[e, side] % 3
-        for k in (1, 2):
-            other = face_edges[f, (i + k) % 3]
-            near = max(near, of_edge[other, 1])
-            around_1, around_2 = min(around_1, of_edge[other, 2]), min(around_2, of_edge[other, 3])
-    return max(e1 / (squared + e1) * around_1, near * e2 / (squared + e2) * around_2)
+def weight_of(of_edge, e1, e2, e3, far, beside, firm):
+    """How much the plane of a face with these edges counts."""
+    near = max(of_edge[e1, 1], of_edge[e2, 1], of_edge[e3, 1])
+    far = min(flat_or_sharp(of_edge, e1, far), flat_or_sharp(of_edge, e2, far), flat_or_sharp(of_edge, e3, far))
+    beside = min(flat_or_sharp(of_edge, e1, beside), flat_or_sharp(of_edge, e2, beside),
+                 flat_or_sharp(of_edge, e3, beside))
+    return min(max(far, near * beside), firm)
+
+
+@njit(**INNER)
+def with_plane(x, y, z, normal, weight):
+    """The inverse, by rows, of a matrix M becomes that of M + w / (1 - w) n n^T (Sherman and Morrison 1950)."""
+    along = dots(normal, x, y, z)
+    share = weight / (1 - weight + weight * dot(along, normal))
+    return (minus(x, times(share * along[0], along)), minus(y, times(share * along[1], along)),
+            minus(z, times(share * along[2], along)))
+
+
+@njit(**INNER)
+def put_rows(matrices, row, x, y, z):
+    matrix = matrices[row]
+    put(matrix, 0, 0, x)
+    put(matrix, 1, 0, y)
+    put(matrix, 2, 0, z)
 
 
 @njit(**COMPILED)
-def find_crisp(faces, face_edges, halfedges, edges, positions, numbers, normals, of_edge, of_vertices, of_edges):
-    """`bounds.crisp_factors`.  numbers: the smallest normal number, the square of a height that may be rounding, where
-    sharpness begins and one over how far it goes, the squares of what is flat at vertices and at edges, twice each.
-    normals (nF, 3) and of_edge (nE, 4) are scratch, of_vertices (nV, 4), too, but for the results in its first column
-    and in its last."""
-    tiny, rounding, begins, scale, v1, v2, e1, e2 = numbers
+def find_planes(numbers, faces, face_edges, halfedges, positions, of_face, of_edge, of_vertices, of_edges):
+    """`bounds.flat_planes`.  numbers: the smallest normal number, the square of a height that may be rounding, where
+    sharpness begins and one over how far it goes, the largest weight, the squares of what is flat at vertices and at
+    edges, twice each.  of_face (nF, 4) and of_edge (nE, 2) are scratch."""
+    tiny, rounding, begins, scale, firm, v1, v2, e1, e2 = numbers
     one, zero = tiny / tiny, tiny - tiny
+    unit_x, unit_y, unit_z = (one, zero, zero), (zero, one, zero), (zero, zero, one)
     for f in range(len(faces)):
         a, b = sides_of(faces, positions, f)
         normal = normal_of(a, b)
         squared = dot(normal, normal)
         has_area = squared > rounding * max(dot(a, a), dot(b, b)) + tiny
-        put(normals, f, 0, times(one / np.sqrt(squared) if has_area else zero, normal))
-    for v in range(len(positions)):
-        of_vertices[v, 0], of_vertices[v, 1], of_vertices[v, 2], of_vertices[v, 3] = one, one, zero, zero
-    for e in range(len(edges)):
+        put(of_face, f, 0, times(one / np.sqrt(squared) if has_area else zero, normal))
+    for e in range(len(halfedges)):
         there, back = halfedges[e, 0], halfedges[e, 1]
         is_inside = there >= 0 and back >= 0
-        s = turn_at(normals, there // 3, back // 3) if is_inside else zero
-        sure = min(max((s - begins) * scale, zero), one) if is_inside else one
-        of_edge[e, 0], of_edge[e, 1], of_edge[e, 2], of_edge[e, 3] = s, sure, crisp(s, sure, e1), crisp(s, sure, e2)
-        for end in range(2):
-            v = edges[e, end]
-            of_vertices[v, 0] = min(of_vertices[v, 0], crisp(s, sure, v1) if is_inside else zero)
-            of_vertices[v, 1] = min(of_vertices[v, 1], crisp(s, sure, v2) if is_inside else zero)
-            of_vertices[v, 2], of_vertices[v, 3] = max(of_vertices[v, 2], sure), of_vertices[v, 3] + sure
-    for v in range(len(positions)):
-        hold = max(of_vertices[v, 0], of_vertices[v, 1] * of_vertices[v, 2])
-        of_vertices[v, 0] = one - hold
-        of_vertices[v, 3] = one - hold * min(max(of_vertices[v, 3] - 2 * one, zero), one)
-    for e in range(len(edges)):
-        is_inside = halfedges[e, 0] >= 0 and halfedges[e, 1] >= 0
-        of_edges[e] = one - hold_of_edge(face_edges, halfedges, of_edge, e, e1, e2) if is_inside else one
+        s = turn_at(of_face, there // 3, back // 3) if is_inside else zero
+        of_edge[e, 0], of_edge[e, 1] = s, min(max((s - begins) * scale, zero), one) if is_inside else one
+    for v in range(len(of_vertices)):
+        put_rows(of_vertices, v, unit_x, unit_y, unit_z)
+    for f in range(len(faces)):
+        normal, a, b, c = get(of_face, f, 0), face_edges[f, 0], face_edges[f, 1], face_edges[f, 2]
+        weight = weight_of(of_edge, a, b, c, v1, v2, firm)
+        for i in range(3):
+            rows = of_vertices[faces[f, i]]
+            x, y, z = with_plane(get(rows, 0, 0), get(rows, 1, 0), get(rows, 2, 0), normal, weight)
+            put_rows(of_vertices, faces[f, i], x, y, z)
+        of_face[f, 3] = weight_of(of_edge, a, b, c, e1, e2, firm)
+    for e in range(len(halfedges)):
+        x, y, z = unit_x, unit_y, unit_z
+        for side in range(2):
+            if halfedges[e, side] >= 0:
+                f = halfedges[e, side] // 3
+                x, y, z = with_plane(x, y, z, get(of_face, f, 0), of_face[f, 3])
+        put_rows(of_edges, e, x, y, z)
 
 
 @njit(**COMPILED)

@@ -24,18 +24,18 @@ from torch.nn.functional import linear, relu, silu
 
 from neusub import compiled
 from neusub.bounds import (
-    Crisp,
     Measures,
+    Planes,
     area_normals,
     around_edges,
     around_vertices,
     bounded,
-    crisp_factors,
+    flat_planes,
     flattened,
+    in_planes,
     measured,
     settled,
     unturned,
-    with_corners,
 )
 from neusub.compiled import Measuring, Said
 from neusub.configuration import Architecture
@@ -198,9 +198,9 @@ class NeuralSubdivision(nn.Module):
         """
         given = given or [None] * (len(levels) + 1)
         first = levels[0].by_vertex
-        crisp = crisp_factors(levels[0], positions) if self.plan.crisp else None
+        planes = flat_planes(levels[0], positions) if self.plan.crisp else None
         move, values, _ = self.initial(first, positions, self._first_values(first, positions))
-        start, positions = put(positions, given[0]), put(positions + slowed(move, crisp, "vertices"), given[0])
+        start, positions = put(positions, given[0]), put(positions + kept(move, planes, "vertices"), given[0])
         if self.plan.unturned:
             faces = levels[0].on_device(levels[0].topology.faces)
             normals = area_normals(faces, start)
@@ -209,16 +209,16 @@ class NeuralSubdivision(nn.Module):
         for k, level in enumerate(levels):
             before = positions
             if self.plan.crisp and k:  # those of the input serve level 1, too
-                crisp = crisp_factors(level, positions)
+                planes = flat_planes(level, positions)
             move, learned, around = self.vertex(level.by_vertex, positions, values)
             values = self._added(values, learned)
-            positions = put(positions + slowed(move, crisp, "vertices"), given[k])
+            positions = put(positions + kept(move, planes, "vertices"), given[k])
             is_last = k + 1 == len(levels)
-            around = with_corners(around, crisp)
             move, learned, _ = self.edge(level.by_edge, positions, values, around, learns=not is_last)
-            positions = torch.cat([positions, means_of_ends(level, positions) + slowed(move, crisp, "edges")])
+            positions = torch.cat([positions, means_of_ends(level, positions) + kept(move, planes, "edges")])
             if self.plan.settle and k >= self.plan.trained:
-                positions = settled(level, before, positions, self.plan.settle, self.plan.sharp, crisp)
+                move = settled(level, before, positions, self.plan.settle, self.plan.sharp) - positions
+                positions = positions + kept(move, planes)
             positions = put(positions, given[k + 1])
             if self.plan.unturned:
                 safe = put(torch.cat([before, means_of_ends(level, before)]), given[k + 1])
@@ -249,6 +249,8 @@ def put(positions: Float[Tensor, "nV 3"], given: Given) -> Float[Tensor, "nV 3"]
     return positions if given is None else positions.index_copy(0, *given)
 
 
-def slowed(move: Float[Tensor, "m 3"], crisp: Crisp | None, part: str) -> Float[Tensor, "m 3"]:
-    """Displacements of that part, times their factors if there are any."""
-    return move if crisp is None else move * getattr(crisp, part)[:, None]
+def kept(move: Float[Tensor, "m 3"], planes: Planes | None, part: str = "") -> Float[Tensor, "m 3"]:
+    """Displacements of that part, or of both, in the planes of the faces there if there are any."""
+    if planes is None:
+        return move
+    return in_planes(move, getattr(planes, part) if part else torch.cat(planes))
