@@ -107,7 +107,7 @@ def main() -> None:
     training, validation = pair_files(recipe, options.meshes, options.runs / "default-pairs")
     if options.input == "on_surface":
         training += closed_form_files(recipe, options.runs / "default-pairs")
-    config = replace(PRESETS["default"], input=options.input, epochs=options.epochs, cycles=options.cycles,
+    config = replace(PRESETS[NAMES[options.input]], epochs=options.epochs, cycles=options.cycles,
                      seed=options.seed, threads=options.threads)
     folder = options.runs / f"default-{options.input}-{options.seed}"
     result = train(training, validation, folder, config, resume=True, on_epoch=show)
