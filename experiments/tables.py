@@ -19,7 +19,7 @@ from experiments.common import HERE, parser_of
 
 ROOT = HERE.parent
 LABELS = {"loop": "Loop", "elephant": "`elephant`", "default": "`default`",
-          "default, uncross": "`default`, `--uncross`"}
+          "default, uncross": "`default`, crossings taken back"}
 ALL = ("midpoint", "loop", "butterfly", "elephant", "default")
 MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 

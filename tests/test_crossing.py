@@ -89,11 +89,18 @@ def test_creases_and_levels_of_the_limit_do_not_cross_either(scheme):
     assert turned([mesh, *levels[1:]]) == [0, 0, 0]
 
 
-def test_the_command_takes_it(tmp_path):
-    neusub.save(Mesh(*shapes.bumpy(shapes.torus(10, 8), 0.5)), tmp_path / "in.ply")
-    words = ["neusub", "subdivide", "in.ply", "-o", "out.ply", "--scheme", "butterfly", "--uncross"]
+@pytest.mark.parametrize(("options", "kept"), [
+    ([], True), (["--uncross", "never"], False), (["--uncross", "always"], True),
+    (["--scheme", "butterfly"], False), (["--scheme", "butterfly", "--uncross", "always"], True),
+])
+def test_the_command_does_it_by_itself_where_the_network_refines_a_cage(options, kept, tmp_path):
+    vertices, faces = shapes.icosahedron()  # two of them, face to face, closer than either bulges
+    normal = vertices[faces[0]].mean(axis=0)
+    both = np.concatenate([vertices, 2.02 * normal - vertices])
+    neusub.save(Mesh(both, np.concatenate([faces, faces[:, ::-1] + len(vertices)])), tmp_path / "in.ply")
+    words = ["neusub", "subdivide", "in.ply", "-o", "out.ply", *options]
     subprocess.run([sys.executable, "-m", *words], cwd=tmp_path, check=True)
-    assert len(pairs_of(neusub.load(tmp_path / "out.ply"))) == 0
+    assert (len(pairs_of(neusub.load(tmp_path / "out.ply"))) == 0) == kept
 
 
 def test_where_nothing_crosses_nothing_changes():

@@ -12,6 +12,8 @@ from tyro.conf import Positional
 from neusub import cli_learning  # noqa: F401 (its commands join the app)
 from neusub.cli_shared import Output, app, check_free, check_output, for_each, level_files, progress_bar, say
 
+CAGE = 5000  # faces, at most, of what is taken for a cage
+
 
 @app.command(name="subdivide")
 def subdivide_command(
@@ -26,7 +28,7 @@ def subdivide_command(
     input: Literal["on_surface", "decimated"] | None = None,
     scale: Literal["edge", "box", "none"] = "edge",
     crease_angle: float | None = None,
-    uncross: bool = False,
+    uncross: Literal["cages", "always", "never"] = "cages",
     all_levels: bool = False,
     device: str = "auto",
     overwrite: bool = False,
@@ -43,7 +45,8 @@ def subdivide_command(
         input: Where the coarse vertices lie, if not on the surface: 'decimated' for meshes that a decimation made.
         scale: What is brought to the training's scale: each part's mean edge, the whole box, or nothing.
         crease_angle: Edges sharper than this (degrees) stay creases; not with midpoint.
-        uncross: Take displacements back where they push the surface through itself or turn it over.
+        uncross: Take displacements back where they push the surface through itself or turn it over: the network's on
+            cages (up to 5,000 faces), always or never. On large meshes it takes most of the time.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         device: auto, cpu, cuda, ...
         overwrite: Replace files that exist.
@@ -60,8 +63,10 @@ def subdivide_command(
         notes = [f"{path}: {line}" for line in mesh.load_report]
         from neusub.subdivider import DEFAULT_MODEL, subdivide
 
+        is_cage = scheme == "neural" and len(mesh.faces) <= CAGE
         results = subdivide(mesh, scheme, levels, model=model or DEFAULT_MODEL, limit_levels=limit_levels,
-                            scale=scale, input=input, device=device, crease_angle=crease_angle, uncross=uncross)
+                            scale=scale, input=input, device=device, crease_angle=crease_angle,
+                            uncross=is_cage if uncross == "cages" else uncross == "always")
         for level, place in zip(results[-len(targets) :], targets):
             save(level, place, overwrite=overwrite)
         return [*notes, f"{path}: {len(mesh.faces):,} -> {len(results[-1].faces):,} faces: {targets[-1]}"]
