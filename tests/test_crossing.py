@@ -1,8 +1,5 @@
 """Which faces cross, and refinements in which none do."""
 
-import subprocess
-import sys
-
 import numpy as np
 import pytest
 import torch
@@ -10,9 +7,11 @@ from experiments.robustness import turned
 
 import neusub
 import shapes
+from neusub import cli
 from neusub.crossing import crossing_pairs, uncrossed
 from neusub.mesh import Mesh
 from neusub.subdivider import Subdivider
+from test_cli import neusub_command
 from test_network import random_network
 
 
@@ -89,18 +88,23 @@ def test_creases_and_levels_of_the_limit_do_not_cross_either(scheme):
     assert turned([mesh, *levels[1:]]) == [0, 0, 0]
 
 
-@pytest.mark.parametrize(("options", "kept"), [
-    ([], True), (["--uncross", "never"], False), (["--uncross", "always"], True),
-    (["--scheme", "butterfly"], False), (["--scheme", "butterfly", "--uncross", "always"], True),
+def facing():
+    """Two icosahedra face to face, closer than either bulges."""
+    vertices, faces = shapes.icosahedron()
+    other = 2.02 * vertices[faces[0]].mean(axis=0) - vertices
+    return np.concatenate([vertices, other]), np.concatenate([faces, faces[:, ::-1] + len(vertices)])
+
+
+@pytest.mark.parametrize(("options", "is_large", "is_free"), [
+    ([], False, True), ([], True, False), (["--uncross", "never"], False, False), (["--uncross", "always"], True, True),
+    (["--scheme", "butterfly"], False, False), (["--scheme", "butterfly", "--uncross", "always"], False, True),
 ])
-def test_the_command_does_it_by_itself_where_the_network_refines_a_cage(options, kept, tmp_path):
-    vertices, faces = shapes.icosahedron()  # two of them, face to face, closer than either bulges
-    normal = vertices[faces[0]].mean(axis=0)
-    both = np.concatenate([vertices, 2.02 * normal - vertices])
-    neusub.save(Mesh(both, np.concatenate([faces, faces[:, ::-1] + len(vertices)])), tmp_path / "in.ply")
-    words = ["neusub", "subdivide", "in.ply", "-o", "out.ply", *options]
-    subprocess.run([sys.executable, "-m", *words], cwd=tmp_path, check=True)
-    assert (len(pairs_of(neusub.load(tmp_path / "out.ply"))) == 0) == kept
+def test_the_command_does_it_by_itself_on_cages(options, is_large, is_free, tmp_path, capsys, monkeypatch):
+    mesh = Mesh(*(shapes.bumpy(shapes.torus(10, 8), 0.5) if "butterfly" in options else facing()))
+    neusub.save(mesh, tmp_path / "in.ply")
+    monkeypatch.setattr(cli, "QUICK", len(mesh.faces) * 4**2 - is_large)
+    assert neusub_command(capsys, "subdivide", tmp_path / "in.ply", "-o", tmp_path / "out.ply", *options)[0] == 0
+    assert (len(pairs_of(neusub.load(tmp_path / "out.ply"))) == 0) == is_free
 
 
 def test_where_nothing_crosses_nothing_changes():

@@ -15,16 +15,16 @@ from torch import Tensor
 
 from neusub.compilation import ENOUGH, announce
 from neusub.configuration import Bound
-from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, pool
+from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, means_of_ends, pool
 from neusub.frames import cross, edge_vectors, local_frames, rounding, sizes, squared_lengths, turn_sums, turns, unit
 
-__all__ = ["Measures", "Planes", "area_normals", "around_edges", "around_vertices", "bounded", "flat_planes",
-           "flattened", "in_planes", "measured", "moved_back", "settled", "turned_corners", "unturned"]
+__all__ = ["Measures", "Planes", "area_normals", "around_edges", "around_vertices", "bounded", "crisp_faces",
+           "flattened", "in_planes", "measured", "moved_back", "planes_of", "settled", "turned_corners", "unturned"]
 
 SHARP = 0.45, 0.6  # sines of half of 53 and 74 degrees: two edges (three) that turn by less are not sharp, by more are
 
-FLAT_AT_VERTICES = 0.01, 0.04  # sines of half the angles that halve a plane's weight in `flat_planes`: away from sharp
-FLAT_AT_EDGES = 0.006, 0.02  # edges, and beside them
+FLAT_AT_VERTICES = 0.001, 0.04  # sines of half the angles at edges that are half flat (`crisp_faces`): away from sharp
+FLAT_AT_EDGES = 0.001, 0.015  # edges, and beside them
 
 TURNED = 0.05  # a triangle is turned over where the cosine of its angle to the input's face is below: at 87 degrees
 
@@ -103,84 +103,120 @@ def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | 
     return torch.stack([height, factor]).T
 
 
+class CrispFaces(NamedTuple):
+    """How much displacements are to keep to the planes of the input's faces (`crisp_faces`)."""
+
+    normals: Float[Tensor, "nF 3"]
+    weights: Float[Tensor, "nF 2"]  # for vertices, for midpoints of edges
+
+
 class Planes(NamedTuple):
-    """Matrices that take from displacements what leaves the planes of flat faces (`flat_planes`)."""
+    """Matrices that take from displacements what leaves the planes of crisp faces."""
 
     vertices: Float[Tensor, "nV 3 3"]
     edges: Float[Tensor, "nE 3 3"]
 
 
-def flat_planes(level: LevelFlaps, positions: Float[Tensor, "nV 3"]) -> Planes:
-    """For each vertex, and the midpoint of each edge, its faces whose own three edges are each either flat or sharp.
+def crisp_faces(level: LevelFlaps, positions: Float[Tensor, "nV 3"]) -> CrispFaces:
+    """How crisp the input's faces are, from 0 to nearly 1: whether their own three edges are each either flat or sharp.
 
-    So the corners of a solid stay, points on its edges stay on their line, and those inside its sides in their plane,
-    however many edges meet there and whatever else does.  The rim of a cylinder is free: of its two faces, one has an
-    edge that is neither.  What counts as flat depends on whether one of the three edges is sharp, for little is smooth
-    beside sharp edges.  Borders count as sharp.
-
-    A face's plane counts with a weight w from 0 to 1, and n is its normal: the matrix is the inverse of
-    1 + sum of w / (1 - w) n n^T, which leaves 1 - w of a displacement along n where there is one face.
+    Of the two faces at the rim of a cylinder, one has an edge that is neither.  What counts as flat depends on whether
+    one of the three edges is sharp, for little is smooth beside sharp edges; elsewhere it has to be as flat as rounding
+    or a decimation leave it, or smooth surfaces of small triangles would count too.  Borders are flat.
     """
-    faces, face_edges, halfedges = map(level.on_device, (level.topology.faces, level.topology.face_edges,
-                                                         level.topology.edge_halfedges))
+    faces, face_edges, halfedges = of_level(level)
     positions = positions.detach()
     reach = positions.abs().max().square()  # heights of a triangle that are rounding errors of its corners are none
     if by_kernel(faces, positions):
-        return planes_by_kernel(faces, face_edges, halfedges, positions, float(reach))
+        return crisp_by_kernel(faces, face_edges, halfedges, positions, float(reach))
     a, b, c = by_columns(positions).T.index_select(1, faces.T.reshape(-1)).view(3, 3, -1).unbind(1)
     longest = torch.maximum((b - a).square().sum(0), (c - a).square().sum(0))
     normals = unit(cross(b - a, c - a), longest * reach)[0]
     left, right = (halfedges // 3).clamp(min=0).T  # of a border too, where both are not the faces of an edge
     s = (normals.index_select(1, left) - normals.index_select(1, right)).square().sum(0).sqrt() / 2
-    has_area = normals.square().sum(0) > 0
-    s = torch.where(has_area[left] & has_area[right], s, 0)  # an edge with a face without area does not turn
-    is_border = halfedges < 0
-    sure = torch.where(is_border.any(1), 1, surely_sharp(s))
-    near = sure[face_edges].amax(1)
-    products = normals[:, None] * normals  # (3, 3, nF)
+    has_area, is_border = normals.square().sum(0) > 0, (halfedges < 0).any(1)
+    s = torch.where(has_area[left] & has_area[right] & ~is_border, s, 0)  # a face without area turns nothing
+    sharp = surely_sharp(s)
+    near = sharp[face_edges].amax(1)
 
-    def stiff(halved: tuple[float, float]) -> Float[Tensor, "nF 3 3"]:
-        far, beside = (torch.maximum(sure, held(s, at))[face_edges].amin(1) for at in halved)
-        weight = torch.maximum(far, near * beside).clamp(max=firm(positions.dtype))
-        return (products * (weight / (1 - weight))).permute(2, 0, 1)
+    def weight(flat: tuple[float, float]) -> Float[Tensor, " nF"]:
+        away, beside = (torch.maximum(sharp, held(s, at))[face_edges].amin(1) for at in flat)
+        return torch.maximum(away, near * beside).clamp(max=firm(positions.dtype))
 
-    def inverse(stiffness: Float[Tensor, "m 3 3"]) -> Float[Tensor, "m 3 3"]:
-        identity = torch.eye(3, dtype=torch.float64, device=positions.device)  # single precision is not enough
-        return torch.linalg.inv(stiffness + identity).to(positions.dtype)
-
-    of_vertices = positions.new_zeros(len(positions), 3, 3, dtype=torch.float64)
-    of_vertices.index_add_(0, faces.reshape(-1), stiff(FLAT_AT_VERTICES).double().repeat_interleave(3, 0))
-    of_faces, outside = stiff(FLAT_AT_EDGES), is_border[:, :, None, None]
-    of_edges = torch.where(outside[:, 0], 0, of_faces[left]) + torch.where(outside[:, 1], 0, of_faces[right])
-    return Planes(inverse(of_vertices), inverse(of_edges))
+    return CrispFaces(normals.T.contiguous(), torch.stack([weight(FLAT_AT_VERTICES), weight(FLAT_AT_EDGES)], dim=1))
 
 
-def planes_by_kernel(
+def crisp_by_kernel(
     faces: Int[Tensor, "nF 3"], face_edges: Int[Tensor, "nF 3"], halfedges: Int[Tensor, "nE 2"],
     positions: Float[Tensor, "nV 3"], reach: float,
-) -> Planes:
-    from neusub.kernel_faces import find_planes
+) -> CrispFaces:
+    from neusub.kernel_faces import find_crisp
 
-    announce(find_planes, "the network's kernels")
-    squares = [halved**2 for halved in (*FLAT_AT_VERTICES, *FLAT_AT_EDGES)]
+    announce(find_crisp, "the network's kernels")
+    squares = [flat**2 for flat in (*FLAT_AT_VERTICES, *FLAT_AT_EDGES)]
     limit = torch.finfo(positions.dtype)
     numbers = positions.new_tensor([limit.tiny, rounding(limit) * reach, SHARP[0], 1 / (SHARP[1] - SHARP[0]),
                                     firm(positions.dtype), *squares])
-    of_face, of_edge, *results = (positions.new_empty(size) for size in (
-        (len(faces), 4), (len(halfedges), 2), (len(positions), 3, 3), (len(halfedges), 3, 3)))
-    arrays = faces, face_edges, halfedges, positions.contiguous(), of_face, of_edge, *results
-    find_planes(tuple(numbers.numpy()), *(x.numpy() for x in arrays))  # type: ignore[call-arg]
-    return Planes(*results)
+    of_edge, *results = (positions.new_empty(size) for size in ((len(halfedges), 2), (len(faces), 3), (len(faces), 2)))
+    arrays = faces, face_edges, halfedges, positions.contiguous(), of_edge, *results
+    find_crisp(tuple(numbers.numpy()), *(x.numpy() for x in arrays))  # type: ignore[call-arg]
+    return CrispFaces(*results)
+
+
+def planes_of(level: LevelFlaps, crisp: CrispFaces) -> Planes:
+    """For each vertex of a level, and each edge's midpoint, the planes of the input's faces that its faces come from.
+
+    So the corners of a solid stay, points on its edges stay on their line, and those inside its sides in their plane,
+    however many edges meet there and whatever else does.  Only the input tells what is crisp: from level to level the
+    angles of a smooth surface halve, and sooner or later all of it is flat.
+
+    The matrix is the inverse of 1 + sum of w / (1 - w) n n^T, over the faces around with their weights w and normals n:
+    one face leaves 1 - w of a displacement along n, k faces in one plane leave (1 - w) / (1 - w + k w) of it.
+    """
+    faces, _, halfedges = of_level(level)
+    if by_kernel(faces, crisp.normals):
+        return planes_by_kernel(faces, halfedges, crisp, level.topology.n_vertices)
+    precise = torch.float32 if crisp.normals.device.type == "mps" else torch.float64  # for w / (1 - w) is large
+    normals, weights = crisp.normals.to(precise), crisp.weights.to(precise)
+    stiff = (weights / (1 - weights))[:, :, None, None] * (normals[:, :, None] * normals[:, None])[:, None]
+    at_vertices, at_edges = stiff.unbind(1)
+    of_vertices = at_vertices.new_zeros(level.topology.n_vertices, 3, 3)
+    of_corners = at_vertices.repeat(len(faces) // len(normals), 1, 1)
+    for corner in faces.T:
+        of_vertices.index_add_(0, corner, of_corners)
+    is_border, (left, right) = halfedges < 0, (halfedges // 3).T % len(normals)
+    of_edges = at_edges[left].masked_fill(is_border[:, :1, None], 0)
+    of_edges = of_edges + at_edges[right].masked_fill(is_border[:, 1:, None], 0)
+    one = torch.eye(3, dtype=precise, device=normals.device)
+    return Planes(*(torch.linalg.inv(one + matrices).to(crisp.normals.dtype) for matrices in (of_vertices, of_edges)))
+
+
+def planes_by_kernel(
+    faces: Int[Tensor, "nF 3"], halfedges: Int[Tensor, "nE 2"], crisp: CrispFaces, n_vertices: int
+) -> Planes:
+    from neusub.kernel_faces import add_planes
+
+    announce(add_planes, "the network's kernels")
+    results = Planes(*(crisp.normals.new_empty(size, 3, 3) for size in (n_vertices, len(halfedges))))
+    add_planes(*(x.numpy() for x in (faces, halfedges, *crisp, *results)))  # type: ignore[call-arg]
+    return results
+
+
+def of_level(level: LevelFlaps) -> tuple[Int[Tensor, "nF 3"], Int[Tensor, "nF 3"], Int[Tensor, "nE 2"]]:
+    """Faces, their edges, and the half-edges of edges, where the level's half-flaps are."""
+    topology = level.topology
+    faces, face_edges, halfedges = map(level.on_device, (topology.faces, topology.face_edges, topology.edge_halfedges))
+    return faces, face_edges, halfedges
 
 
 def firm(dtype: torch.dtype) -> float:
-    """The largest weight of a plane."""
+    """The largest weight of a plane: w / (1 - w) takes no more than half of the digits."""
     return 1 - torch.finfo(dtype).eps ** 0.5
 
 
-def in_planes(move: Float[Tensor, "m 3"], matrices: Float[Tensor, "m 3 3"]) -> Float[Tensor, "m 3"]:
-    """Displacements without what leaves the planes."""
-    return torch.bmm(matrices, move[:, :, None])[..., 0]
+def in_planes(move: Float[Tensor, "m 3"], matrices: Float[Tensor, "m 3 3"] | None) -> Float[Tensor, "m 3"]:
+    """Displacements without what leaves the planes, if there are any."""
+    return move if matrices is None else torch.bmm(matrices, move[:, :, None])[..., 0]
 
 
 def surely_sharp(s: Tensor) -> Tensor:
@@ -209,16 +245,17 @@ def means_of(groups: FlapGroups, size: Float[Tensor, " n"]) -> Float[Tensor, " m
 
 
 def settled(
-    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float, sharp: float
+    level: LevelFlaps, before: Float[Tensor, "nV 3"], after: Float[Tensor, "nV+nE 3"], settle: float, sharp: float,
+    planes: Planes | None = None,
 ) -> Float[Tensor, "nV+nE 3"]:
     """A level's vertices, drawn to those of Loop's scheme where the surface before was nearly flat.
 
     The share of `after` is h / (h + settle) as in `flattened`, at an edge the mean of its ends'.  Every smooth scheme
     comes to the same there; Loop's limit is smooth around irregular vertices too.  Along a boundary it is Loop's curve
     rule; the height there is at least h (h / edge), h from the neighbours' middle: bends go, corners stay.  What
-    `around_vertices` holds stays as it is.
+    `around_vertices` holds stays as it is, and Loop's points keep to the planes.
     """
-    points, shares, columns = [], [], by_columns(before)
+    moves, shares, columns = [], [], by_columns(before)
     for part in level.by_vertex.chunks():
         edges = edge_vectors(part, columns)
         measures = measured(part, edges, local_frames(edges)[0], sharp > 0)
@@ -233,19 +270,18 @@ def settled(
             boundary = torch.segment_reduce(along.to(before.dtype), "max", offsets=part.offsets) > 0
             move = torch.where(boundary[:, None], curve / 4, move)
             heights = torch.maximum(heights, curve.square().sum(1) / measures.size)
-        points.append(move)
+        moves.append(move)
         share = flattened(heights, measures.size, settle)
         shares.append(1 - (1 - share) * around[:, -1] if sharp else share)
-    points = [before + torch.cat(points)]
     for part in level.by_edge.chunks():
         ends, wings = before[part.corners[::2]].split(2, dim=1)  # the same from both half-flaps
-        middle = ends.mean(dim=1)
-        inside = middle + (wings.mean(dim=1) - middle) / 4
-        points.append(inside if part.missing is None else
-                      torch.where(part.missing.any(0)[::2, None], middle, inside))
+        move = (wings.mean(dim=1) - ends.mean(dim=1)) / 4
+        moves.append(move if part.missing is None else move.masked_fill(part.missing.any(0)[::2, None], 0))
     share = torch.cat(shares)
     share = torch.cat([share, share[level.edges].mean(dim=1)])
-    return torch.cat(points).lerp(after, share[:, None])
+    points = torch.cat([before, means_of_ends(level, before)])
+    points = points + in_planes(torch.cat(moves), None if planes is None else torch.cat(planes))
+    return points.lerp(after, share[:, None])
 
 
 def bounded(

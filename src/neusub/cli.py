@@ -12,7 +12,7 @@ from tyro.conf import Positional
 from neusub import cli_learning  # noqa: F401 (its commands join the app)
 from neusub.cli_shared import Output, app, check_free, check_output, for_each, level_files, progress_bar, say
 
-CAGE = 5000  # faces, at most, of what is taken for a cage
+QUICK = 80_000  # faces of a result that is looked through for crossings within a second or so
 
 
 @app.command(name="subdivide")
@@ -46,7 +46,8 @@ def subdivide_command(
         scale: What is brought to the training's scale: each part's mean edge, the whole box, or nothing.
         crease_angle: Edges sharper than this (degrees) stay creases; not with midpoint.
         uncross: Take displacements back where they push the surface through itself or turn it over: the network's on
-            cages (up to 5,000 faces), always or never. On large meshes it takes most of the time.
+            cages (up to 80,000 faces in the result: 5,000 at two levels), always, or never. On large meshes this takes
+            most of the time.
         all_levels: Write each level, as NAME.level0, NAME.level1, ...
         device: auto, cpu, cuda, ...
         overwrite: Replace files that exist.
@@ -63,7 +64,7 @@ def subdivide_command(
         notes = [f"{path}: {line}" for line in mesh.load_report]
         from neusub.subdivider import DEFAULT_MODEL, subdivide
 
-        is_cage = scheme == "neural" and len(mesh.faces) <= CAGE
+        is_cage = scheme == "neural" and len(mesh.faces) * 4 ** (levels + limit_levels) <= QUICK
         results = subdivide(mesh, scheme, levels, model=model or DEFAULT_MODEL, limit_levels=limit_levels,
                             scale=scale, input=input, device=device, crease_angle=crease_angle,
                             uncross=is_cage if uncross == "cages" else uncross == "always")

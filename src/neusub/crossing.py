@@ -1,8 +1,8 @@
 """Triangles that cross each other where midpoints would not: displacements that push the surface through itself are
 taken back, whatever scheme they are of.
 
-Crossings are found exactly, by CGAL, which libigl's Python package carries (`igl.copyleft`, under the GPL); only who
-asks for `uncross` calls it.
+Crossings are found exactly, by CGAL, which libigl's Python package carries (`igl.copyleft`, under the GPL).  In Python
+only who asks for `uncross` calls it; the command does so on cages, too.
 """
 
 from __future__ import annotations

@@ -11,7 +11,7 @@ from numba import njit
 from neusub.compilation import COMPILED, INNER
 from neusub.kernel_frames import dot, dots, get, minus, put, times
 
-__all__ = ["find_planes", "turned_over"]
+__all__ = ["add_planes", "find_crisp", "turned_over"]
 
 
 @njit(**INNER)
@@ -36,24 +36,50 @@ def turn_at(normals, left, right):
 
 
 @njit(**INNER)
-def flat_or_sharp(of_edge, e, squared):
-    """Of an edge; squared: of the s that halves being flat."""
+def crisp_at(of_edge, e, squared):
+    """How much an edge is flat or sharp; squared: of the s that is half flat."""
     return max(of_edge[e, 1], squared / (of_edge[e, 0] * of_edge[e, 0] + squared))
 
 
 @njit(**INNER)
-def weight_of(of_edge, e1, e2, e3, far, beside, firm):
-    """How much the plane of a face with these edges counts."""
-    near = max(of_edge[e1, 1], of_edge[e2, 1], of_edge[e3, 1])
-    far = min(flat_or_sharp(of_edge, e1, far), flat_or_sharp(of_edge, e2, far), flat_or_sharp(of_edge, e3, far))
-    beside = min(flat_or_sharp(of_edge, e1, beside), flat_or_sharp(of_edge, e2, beside),
-                 flat_or_sharp(of_edge, e3, beside))
-    return min(max(far, near * beside), firm)
+def weight_of(of_edge, a, b, c, squared_away, squared_beside, firm):
+    """How crisp a face with these edges is."""
+    near = max(of_edge[a, 1], of_edge[b, 1], of_edge[c, 1])
+    away = min(crisp_at(of_edge, a, squared_away), crisp_at(of_edge, b, squared_away),
+               crisp_at(of_edge, c, squared_away))
+    beside = min(crisp_at(of_edge, a, squared_beside), crisp_at(of_edge, b, squared_beside),
+                 crisp_at(of_edge, c, squared_beside))
+    return min(max(away, near * beside), firm)
+
+
+@njit(**COMPILED)
+def find_crisp(numbers, faces, face_edges, halfedges, positions, of_edge, normals, weights):
+    """`bounds.crisp_faces`.  numbers: the smallest normal number, the square of a height that may be rounding, where
+    sharpness begins and one over how far it goes, the largest weight, the squares of what is half flat for vertices and
+    for edges, twice each.  of_edge (nE, 2) is scratch: how far it turns and how sharp it is."""
+    tiny, rounding, begins, scale, firm, v1, v2, e1, e2 = numbers
+    one, zero = tiny / tiny, tiny - tiny
+    for f in range(len(faces)):
+        a, b = sides_of(faces, positions, f)
+        normal = normal_of(a, b)
+        squared = dot(normal, normal)
+        has_area = squared > rounding * max(dot(a, a), dot(b, b)) + tiny
+        put(normals, f, 0, times(one / np.sqrt(squared) if has_area else zero, normal))
+    for e in range(len(halfedges)):
+        there, back = halfedges[e, 0], halfedges[e, 1]
+        is_inside = there >= 0 and back >= 0
+        s = turn_at(normals, there // 3, back // 3) if is_inside else zero
+        of_edge[e, 0], of_edge[e, 1] = s, min(max((s - begins) * scale, zero), one)
+    for f in range(len(faces)):
+        a, b, c = face_edges[f, 0], face_edges[f, 1], face_edges[f, 2]
+        weights[f, 0] = weight_of(of_edge, a, b, c, v1, v2, firm)
+        weights[f, 1] = weight_of(of_edge, a, b, c, e1, e2, firm)
 
 
 @njit(**INNER)
 def with_plane(x, y, z, normal, weight):
-    """The inverse, by rows, of a matrix M becomes that of M + w / (1 - w) n n^T (Sherman and Morrison 1950)."""
+    """The inverse, by rows, of a matrix M becomes that of M + w / (1 - w) n n^T (Sherman and Morrison 1950).  Nothing
+    is lost by single precision here, for no entry is ever above 1."""
     along = dots(normal, x, y, z)
     share = weight / (1 - weight + weight * dot(along, normal))
     return (minus(x, times(share * along[0], along)), minus(y, times(share * along[1], along)),
@@ -69,40 +95,26 @@ def put_rows(matrices, row, x, y, z):
 
 
 @njit(**COMPILED)
-def find_planes(numbers, faces, face_edges, halfedges, positions, of_face, of_edge, of_vertices, of_edges):
-    """`bounds.flat_planes`.  numbers: the smallest normal number, the square of a height that may be rounding, where
-    sharpness begins and one over how far it goes, the largest weight, the squares of what is flat at vertices and at
-    edges, twice each.  of_face (nF, 4) and of_edge (nE, 2) are scratch."""
-    tiny, rounding, begins, scale, firm, v1, v2, e1, e2 = numbers
-    one, zero = tiny / tiny, tiny - tiny
+def add_planes(faces, halfedges, normals, weights, of_vertices, of_edges):
+    """`bounds.planes_of`: face f of the level comes from face f modulo len(normals) of the input."""
+    zero = normals[0, 0] - normals[0, 0]
+    one = np.exp(zero)
     unit_x, unit_y, unit_z = (one, zero, zero), (zero, one, zero), (zero, zero, one)
-    for f in range(len(faces)):
-        a, b = sides_of(faces, positions, f)
-        normal = normal_of(a, b)
-        squared = dot(normal, normal)
-        has_area = squared > rounding * max(dot(a, a), dot(b, b)) + tiny
-        put(of_face, f, 0, times(one / np.sqrt(squared) if has_area else zero, normal))
-    for e in range(len(halfedges)):
-        there, back = halfedges[e, 0], halfedges[e, 1]
-        is_inside = there >= 0 and back >= 0
-        s = turn_at(of_face, there // 3, back // 3) if is_inside else zero
-        of_edge[e, 0], of_edge[e, 1] = s, min(max((s - begins) * scale, zero), one) if is_inside else one
     for v in range(len(of_vertices)):
         put_rows(of_vertices, v, unit_x, unit_y, unit_z)
     for f in range(len(faces)):
-        normal, a, b, c = get(of_face, f, 0), face_edges[f, 0], face_edges[f, 1], face_edges[f, 2]
-        weight = weight_of(of_edge, a, b, c, v1, v2, firm)
+        origin = f % len(normals)
         for i in range(3):
             rows = of_vertices[faces[f, i]]
-            x, y, z = with_plane(get(rows, 0, 0), get(rows, 1, 0), get(rows, 2, 0), normal, weight)
+            x, y, z = with_plane(get(rows, 0, 0), get(rows, 1, 0), get(rows, 2, 0), get(normals, origin, 0),
+                                 weights[origin, 0])
             put_rows(of_vertices, faces[f, i], x, y, z)
-        of_face[f, 3] = weight_of(of_edge, a, b, c, e1, e2, firm)
     for e in range(len(halfedges)):
         x, y, z = unit_x, unit_y, unit_z
         for side in range(2):
             if halfedges[e, side] >= 0:
-                f = halfedges[e, side] // 3
-                x, y, z = with_plane(x, y, z, get(of_face, f, 0), of_face[f, 3])
+                origin = halfedges[e, side] // 3 % len(normals)
+                x, y, z = with_plane(x, y, z, get(normals, origin, 0), weights[origin, 1])
         put_rows(of_edges, e, x, y, z)
 
 

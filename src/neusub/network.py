@@ -25,15 +25,15 @@ from torch.nn.functional import linear, relu, silu
 from neusub import compiled
 from neusub.bounds import (
     Measures,
-    Planes,
     area_normals,
     around_edges,
     around_vertices,
     bounded,
-    flat_planes,
+    crisp_faces,
     flattened,
     in_planes,
     measured,
+    planes_of,
     settled,
     unturned,
 )
@@ -198,9 +198,11 @@ class NeuralSubdivision(nn.Module):
         """
         given = given or [None] * (len(levels) + 1)
         first = levels[0].by_vertex
-        planes = flat_planes(levels[0], positions) if self.plan.crisp else None
+        crisp = crisp_faces(levels[0], positions) if self.plan.crisp else None
+        planes = crisp and planes_of(levels[0], crisp)
         move, values, _ = self.initial(first, positions, self._first_values(first, positions))
-        start, positions = put(positions, given[0]), put(positions + kept(move, planes, "vertices"), given[0])
+        move = in_planes(move, planes and planes.vertices)
+        start, positions = put(positions, given[0]), put(positions + move, given[0])
         if self.plan.unturned:
             faces = levels[0].on_device(levels[0].topology.faces)
             normals = area_normals(faces, start)
@@ -208,17 +210,17 @@ class NeuralSubdivision(nn.Module):
         outputs = [positions]
         for k, level in enumerate(levels):
             before = positions
-            if self.plan.crisp and k:  # those of the input serve level 1, too
-                planes = flat_planes(level, positions)
+            if crisp and k:
+                planes = planes_of(level, crisp)
             move, learned, around = self.vertex(level.by_vertex, positions, values)
             values = self._added(values, learned)
-            positions = put(positions + kept(move, planes, "vertices"), given[k])
+            positions = put(positions + in_planes(move, planes and planes.vertices), given[k])
             is_last = k + 1 == len(levels)
             move, learned, _ = self.edge(level.by_edge, positions, values, around, learns=not is_last)
-            positions = torch.cat([positions, means_of_ends(level, positions) + kept(move, planes, "edges")])
+            middles = means_of_ends(level, positions) + in_planes(move, planes and planes.edges)
+            positions = torch.cat([positions, middles])
             if self.plan.settle and k >= self.plan.trained:
-                move = settled(level, before, positions, self.plan.settle, self.plan.sharp) - positions
-                positions = positions + kept(move, planes)
+                positions = settled(level, before, positions, self.plan.settle, self.plan.sharp, planes)
             positions = put(positions, given[k + 1])
             if self.plan.unturned:
                 safe = put(torch.cat([before, means_of_ends(level, before)]), given[k + 1])
@@ -247,10 +249,3 @@ class NeuralSubdivision(nn.Module):
 def put(positions: Float[Tensor, "nV 3"], given: Given) -> Float[Tensor, "nV 3"]:
     """With the given vertices in their places."""
     return positions if given is None else positions.index_copy(0, *given)
-
-
-def kept(move: Float[Tensor, "m 3"], planes: Planes | None, part: str = "") -> Float[Tensor, "m 3"]:
-    """Displacements of that part, or of both, in the planes of the faces there if there are any."""
-    if planes is None:
-        return move
-    return in_planes(move, getattr(planes, part) if part else torch.cat(planes))
