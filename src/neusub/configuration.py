@@ -32,7 +32,7 @@ class Architecture:
     bound: Bound | None = None  # of displacements (`bounds.py`)
     trained: int = 2  # levels; beyond them `settle` acts
     settle: float = 0.0  # vertices go over to Loop's points where heights are below this many edges; 0: they do not
-    crisp: bool = False  # displacements keep to the planes of faces between flat and sharp edges (`bounds.py`)
+    crisp: bool = False  # displacements keep to the planes of faces between flat and sharp edges (`crisp.py`)
     unturned: bool = False  # no triangle is turned over that is not in the midpoint refinement (`bounds.py`)
 
     def __post_init__(self) -> None:

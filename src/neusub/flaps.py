@@ -16,10 +16,11 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 from torch.nn.functional import embedding_bag
 
+from neusub.compilation import ENOUGH
 from neusub.topology import Topology, counting_order
 
 __all__ = ["FlapGroups", "LevelFlaps", "by_columns", "gather_corners", "level_flaps", "means_of_ends", "pool",
-           "sum_slots"]
+           "sum_slots", "worth_kernels"]
 
 CHUNK = 1 << 20  # numbers of one layer at a time without gradients: they stay in the cache
 
@@ -176,3 +177,9 @@ def means_of_ends(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Ten
     if not values.requires_grad:
         return embedding_bag(level.edges, values, mode="sum") / 2  # three times faster
     return (values.index_select(0, level.edges[:, 0]) + values.index_select(0, level.edges[:, 1])) / 2
+
+
+def worth_kernels(faces: Int[Tensor, "nF 3"], positions: Float[Tensor, "nV 3"]) -> bool:
+    """Whether a kernel is to look at the faces: on a CPU, if there are enough of them to be worth its compilation."""
+    return (positions.device.type == "cpu" and positions.dtype in (torch.float32, torch.float64)
+            and 3 * len(faces) >= ENOUGH)

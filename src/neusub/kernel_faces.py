@@ -1,6 +1,7 @@
 """Faces and their edges, compiled: planes that displacements keep to, and which faces are turned over.
 
-Kernels on arrays that they trust, for `bounds.py`, which says what the numbers mean and does the same with tensors.
+Kernels on arrays that they trust, for `crisp.py` and `bounds.py`, which say what the numbers mean and do the same with
+tensors.
 """
 
 from __future__ import annotations
@@ -54,7 +55,7 @@ def weight_of(of_edge, a, b, c, squared_away, squared_beside, firm):
 
 @njit(**COMPILED)
 def find_crisp(numbers, faces, face_edges, halfedges, positions, of_edge, normals, weights):
-    """`bounds.crisp_faces`.  numbers: the smallest normal number, the square of a height that may be rounding, where
+    """`crisp.crisp_faces`.  numbers: the smallest normal number, the square of a height that may be rounding, where
     sharpness begins and one over how far it goes, the largest weight, the squares of what is half flat for vertices and
     for edges, twice each.  of_edge (nE, 2) is scratch: how far it turns and how sharp it is."""
     tiny, rounding, begins, scale, firm, v1, v2, e1, e2 = numbers
@@ -96,9 +97,8 @@ def put_rows(matrices, row, x, y, z):
 
 @njit(**COMPILED)
 def add_planes(faces, halfedges, normals, weights, of_vertices, of_edges):
-    """`bounds.planes_of`: face f of the level comes from face f modulo len(normals) of the input."""
-    zero = normals[0, 0] - normals[0, 0]
-    one = np.exp(zero)
+    """`crisp.planes_of`: face f of the level comes from face f modulo len(normals) of the input."""
+    one, zero = normals.dtype.type(1), normals.dtype.type(0)
     unit_x, unit_y, unit_z = (one, zero, zero), (zero, one, zero), (zero, zero, one)
     for v in range(len(of_vertices)):
         put_rows(of_vertices, v, unit_x, unit_y, unit_z)

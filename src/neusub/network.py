@@ -29,16 +29,14 @@ from neusub.bounds import (
     around_edges,
     around_vertices,
     bounded,
-    crisp_faces,
     flattened,
-    in_planes,
     measured,
-    planes_of,
     settled,
     unturned,
 )
 from neusub.compiled import Measuring, Said
 from neusub.configuration import Architecture
+from neusub.crisp import crisp_faces, in_planes, planes_of
 from neusub.flaps import FlapGroups, LevelFlaps, by_columns, gather_corners, means_of_ends, pool, sum_slots
 from neusub.frames import (
     TURNS,
