@@ -14,8 +14,10 @@ from neusub.bounds import (
     around_edges,
     around_vertices,
     measured,
+    restrained,
     turned_corners,
 )
+from neusub.configuration import Architecture
 from neusub.frames import edge_vectors, local_frames, star_sums, vertex_turns
 from neusub.mesh import Mesh
 from neusub.schemes import subdivide_classic, subdivision_matrix
@@ -161,6 +163,33 @@ def test_the_kernel_finds_the_turned_triangles_that_tensors_find(dtype, monkeypa
         assert len(found[0]) < len(wild)
         assert found[0].equal(found[1])
     assert len(found[0]) > 0
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("make", [
+    shapes.cube, lambda: shapes.bumpy(shapes.torus(9, 7)), lambda: shapes.open_cylinder(5, 3), shapes.collinear_face,
+    lambda: shapes.punctured(shapes.cube(), [0]), lambda: shapes.with_null_edges(shapes.icosphere(2), 10),
+])
+def test_kernels_hold_and_restrain_what_tensors_do(make, dtype, monkeypatch):
+    vertices, faces = make()
+    (level,) = flaps_of(faces, len(vertices), 1)
+    positions = torch.tensor(vertices @ rotation().T, dtype=dtype)
+    plan, bound = Architecture(flat=0.3, sharp=0.03), (0.25, 0.6, 0.3)
+    generator, found = torch.Generator().manual_seed(0), {}
+    moves = [torch.randn(n, 3, generator=generator, dtype=dtype) for n in (len(vertices), len(level.edges))]
+    for enough in (0, np.inf):
+        monkeypatch.setattr(flaps, "ENOUGH", enough)
+        measures = []
+        for groups in (level.by_vertex, level.by_edge):
+            edges = edge_vectors(groups, positions)
+            measures.append(measured(groups, edges, local_frames(edges)[0], True))
+        around = around_vertices(level.by_vertex, measures[0], plan.sharp)
+        arounds = around, around_edges(level.by_edge, around)
+        kept = [restrained(move, *known, plan, bound) for move, *known in zip(moves, measures, arounds)]
+        found[enough] = *arounds, *kept
+    for a, b in zip(found[0], found[np.inf]):
+        torch.testing.assert_close(a, b, rtol=1e-4 if dtype == torch.float32 else 1e-12, atol=1e-6)
+        assert a.dtype == dtype
 
 
 def test_gradients_go_through_where_kernels_look_for_turned_triangles(monkeypatch):

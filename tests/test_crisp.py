@@ -172,3 +172,14 @@ def test_a_solid_with_a_corner_of_six_sharp_edges_stays_that_solid(settle):
             off = np.abs(back - back.round()).min(axis=1).max()
             assert not on or off < 1e-9
     assert off > 1e-3
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+def test_the_kernel_keeps_to_planes_as_tensors_do(dtype, monkeypatch):
+    generator = torch.Generator().manual_seed(0)
+    move, matrices = (torch.randn(50, *size, generator=generator, dtype=dtype) for size in ((3,), (3, 3)))
+    monkeypatch.setattr(flaps, "ENOUGH", 0)
+    kept = in_planes(move, matrices)
+    torch.testing.assert_close(kept, torch.stack([m @ v for m, v in zip(matrices, move)]))
+    monkeypatch.setattr(flaps, "ENOUGH", np.inf)
+    torch.testing.assert_close(kept, in_planes(move, matrices))

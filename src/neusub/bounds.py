@@ -14,13 +14,13 @@ from jaxtyping import Bool, Float, Int
 from torch import Tensor
 
 from neusub.compilation import announce
-from neusub.configuration import Bound
-from neusub.crisp import Planes, held, in_planes, surely_sharp
+from neusub.configuration import Architecture, Bound
+from neusub.crisp import SHARP, Planes, held, in_planes, surely_sharp
 from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, means_of_ends, pool, worth_kernels
-from neusub.frames import cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns
+from neusub.frames import CANCELLED, cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns
 
-__all__ = ["Measures", "area_normals", "around_edges", "around_vertices", "bounded", "flattened", "measured",
-           "moved_back", "settled", "turned_corners", "unturned"]
+__all__ = ["Measures", "area_normals", "around_edges", "around_vertices", "measured", "moved_back", "restrained",
+           "settled", "turned_corners", "unturned"]
 
 TURNED = 0.05  # a triangle is turned over where the cosine of its angle to the input's face is below: at 87 degrees
 
@@ -68,6 +68,8 @@ def around_vertices(
     """
     if not sharp or measures.turning is None:
         return measures.height[:, None]
+    if worth_kernels(len(groups.corners), measures.height):
+        return vertices_by_kernel(groups, measures, sharp)
     count = groups.offsets.diff()
     mean, second, third, fourth, bend = turns(measures.turning, count)
 
@@ -82,12 +84,27 @@ def around_vertices(
     return torch.stack([measures.height, on_edge, at_corner, inside, torch.minimum(on_edge, at_corner)]).T
 
 
+def vertices_by_kernel(groups: FlapGroups, measures: Measures, sharp: float) -> Float[Tensor, "nV 5"]:
+    from neusub.kernel_bounds import hold_vertices
+
+    announce(hold_vertices, "the network's kernels")
+    assert measures.turning is not None
+    numbers = torch.finfo(measures.height.dtype).tiny, CANCELLED, SHARP[0], 1 / (SHARP[1] - SHARP[0]), sharp**2
+    _, missing, offsets = groups.arrays
+    results = measures.height.new_empty(5, len(measures.height))
+    hold_vertices(tuple(results.new_tensor(numbers).numpy()), measures.height.numpy(), measures.turning.numpy(),
+                  offsets, missing, results.numpy())  # type: ignore[call-arg]
+    return results.T
+
+
 def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | Float[Tensor, "nE 2"]:
     """The same of edges, from that of their ends: the height, and the factor of their displacement.
 
     Both faces of an edge are flat where one end is on a sharp edge between flat faces.  They are at a corner too, but
     that may be a pointed tip of something round: the other end must be at a corner as well, or inside a flat face.
     """
+    if around.shape[1] > 1 and worth_kernels(len(groups.corners), around):
+        return edges_by_kernel(groups, around)
     ends = groups.corners[::2, :2].T  # the same from both half-flaps
     a, b = around.T.index_select(1, ends.reshape(-1)).unflatten(1, (2, -1)).unbind(1)  # columns as rows
     height = torch.maximum(a[0], b[0])
@@ -97,6 +114,45 @@ def around_edges(groups: FlapGroups, around: Tensor) -> Float[Tensor, "nE 1"] | 
     for end, other in ((a, b), (b, a)):
         factor = torch.minimum(factor, torch.maximum(end[2], torch.minimum(other[2], other[3])))
     return torch.stack([height, factor]).T
+
+
+def edges_by_kernel(groups: FlapGroups, around: Float[Tensor, "nV 5"]) -> Float[Tensor, "nE 2"]:
+    from neusub.kernel_bounds import hold_edges
+
+    announce(hold_edges, "the network's kernels")
+    results = around.new_empty(2, len(groups.corners) // 2)
+    hold_edges(groups.arrays[0], around.T.contiguous().numpy(), results.numpy())
+    return results.T
+
+
+def restrained(
+    move: Float[Tensor, "m 3"], measures: Measures, around: Float[Tensor, "m k"], plan: Architecture,
+    bound: Bound | None,
+) -> Float[Tensor, "m 3"]:
+    """A module's displacements as far as what is around them lets them go: times the factor of `around_vertices` or
+    `around_edges` if `plan.sharp`, times that of `flattened`, and within the bound."""
+    heights = around[:, 0].contiguous()
+    if (plan.sharp and plan.flat and bound is not None and len(bound) == 3 and worth_kernels(2 * len(move), move)
+            and not move.requires_grad):
+        return restrained_by_kernel(move, measures, heights, around[:, -1], (plan.flat, *bound, NOTHING))
+    if plan.sharp:
+        move = move * around[:, -1:]
+    if plan.flat:
+        move = move * flattened(heights, measures.size, plan.flat)[:, None]
+    return move if bound is None else bounded(move, measures, heights, bound)
+
+
+def restrained_by_kernel(
+    move: Float[Tensor, "m 3"], measures: Measures, heights: Float[Tensor, " m"], factors: Float[Tensor, " m"],
+    numbers: tuple[float, ...],
+) -> Float[Tensor, "m 3"]:
+    from neusub.kernel_bounds import restrain
+
+    announce(restrain, "the network's kernels")
+    results = move.new_empty(move.shape)
+    rows = move, factors, heights, measures.size, measures.edge, measures.altitude, results
+    restrain(tuple(move.new_tensor(numbers).numpy()), *(x.contiguous().numpy() for x in rows))  # type: ignore[call-arg]
+    return results
 
 
 def flattened(heights: Float[Tensor, " m"], size: Float[Tensor, " m"], flat: float) -> Float[Tensor, " m"]:
@@ -196,7 +252,7 @@ def turned_corners(
     normals: `area_normals` of the input's faces; those of `faces` come from them block by block.
     """
     def turned_over(positions: Tensor) -> Bool[Tensor, " n"]:
-        if worth_kernels(faces, positions):
+        if worth_kernels(3 * len(faces), positions):
             return turned_by_kernel(faces, normals, positions)
         columns, results = by_columns(positions), []
         for part in faces.split(normals.shape[1] * max(1, CHUNK // normals.shape[1])):

@@ -44,7 +44,7 @@ def crisp_faces(level: LevelFlaps, positions: Float[Tensor, "nV 3"]) -> CrispFac
     faces, face_edges, halfedges = of_level(level)
     positions = positions.detach()
     reach = positions.abs().max().square()  # heights of a triangle that are rounding errors of its corners are none
-    if worth_kernels(faces, positions):
+    if worth_kernels(3 * len(faces), positions):
         return crisp_by_kernel(faces, face_edges, halfedges, positions, float(reach))
     a, b, c = by_columns(positions).T.index_select(1, faces.T.reshape(-1)).view(3, 3, -1).unbind(1)
     longest = torch.maximum((b - a).square().sum(0), (c - a).square().sum(0))
@@ -91,7 +91,7 @@ def planes_of(level: LevelFlaps, crisp: CrispFaces) -> Planes:
     one face leaves 1 - w of a displacement along n, k faces in one plane leave (1 - w) / (1 - w + k w) of it.
     """
     faces, _, halfedges = of_level(level)
-    if worth_kernels(faces, crisp.normals):
+    if worth_kernels(3 * len(faces), crisp.normals):
         return planes_by_kernel(faces, halfedges, crisp, level.topology.n_vertices)
     precise = torch.float32 if crisp.normals.device.type == "mps" else torch.float64  # for w / (1 - w) is large
     normals, weights = crisp.normals.to(precise), crisp.weights.to(precise)
@@ -133,7 +133,20 @@ def firm(dtype: torch.dtype) -> float:
 
 def in_planes(move: Float[Tensor, "m 3"], matrices: Float[Tensor, "m 3 3"] | None) -> Float[Tensor, "m 3"]:
     """Displacements without what leaves the planes, if there are any."""
-    return move if matrices is None else torch.bmm(matrices, move[:, :, None])[..., 0]
+    if matrices is None:
+        return move
+    if worth_kernels(2 * len(move), move) and not move.requires_grad:
+        return in_planes_by_kernel(move, matrices)
+    return torch.bmm(matrices, move[:, :, None])[..., 0]
+
+
+def in_planes_by_kernel(move: Float[Tensor, "m 3"], matrices: Float[Tensor, "m 3 3"]) -> Float[Tensor, "m 3"]:
+    from neusub.kernel_faces import keep_in_planes
+
+    announce(keep_in_planes, "the network's kernels")
+    results = move.new_empty(move.shape)
+    keep_in_planes(matrices.contiguous().numpy(), move.contiguous().numpy(), results.numpy())  # type: ignore[call-arg]
+    return results
 
 
 def surely_sharp(s: Tensor) -> Tensor:

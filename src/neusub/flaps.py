@@ -179,7 +179,7 @@ def means_of_ends(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Ten
     return (values.index_select(0, level.edges[:, 0]) + values.index_select(0, level.edges[:, 1])) / 2
 
 
-def worth_kernels(faces: Int[Tensor, "nF 3"], positions: Float[Tensor, "nV 3"]) -> bool:
-    """Whether a kernel is to look at the faces: on a CPU, if there are enough of them to be worth its compilation."""
-    return (positions.device.type == "cpu" and positions.dtype in (torch.float32, torch.float64)
-            and 3 * len(faces) >= ENOUGH)
+def worth_kernels(half_flaps: int, values: Tensor) -> bool:
+    """Whether a kernel is to go over the values of a mesh with that many half-flaps: on a CPU, if there are enough of
+    them to be worth its compilation."""
+    return (values.device.type == "cpu" and values.dtype in (torch.float32, torch.float64) and half_flaps >= ENOUGH)

@@ -13,11 +13,12 @@ from torch import Tensor
 from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
 __all__ = [
-    "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "rounding", "sizes",
-    "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals", "vertex_turns",
+    "CANCELLED", "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "rounding",
+    "sizes", "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals", "vertex_turns",
 ]
 
 TURNS = 4  # numbers of `vertex_turns`
+CANCELLED = 1e-4  # in `turns`, a polynomial this small beside the power of the sum may be rounding alone
 
 
 def rounding(limit: torch.finfo) -> float:
@@ -167,7 +168,7 @@ def turns(
     e2 = (p1 * p1 - p2) / 2  # from the sums of powers, by Newton's identities
     e3 = (e2 * p1 - p1 * p2 + p3) / 3
     e4 = (e3 * p1 - e2 * p2 + p1 * p3 - p4) / 4
-    rounding = 1e-4 * p1  # a polynomial that is small beside this power of the sum may be nothing else
+    rounding = CANCELLED * p1
     ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
     bend = sums[4:].square().sum(0).sqrt() / (p1 + least)
     return torch.stack([p1 / count, *(ratio.clamp(min=0) for ratio in ratios), bend])

@@ -12,7 +12,7 @@ from numba import njit
 from neusub.compilation import COMPILED, INNER
 from neusub.kernel_frames import dot, dots, get, minus, put, times
 
-__all__ = ["add_planes", "find_crisp", "turned_over"]
+__all__ = ["add_planes", "find_crisp", "keep_in_planes", "turned_over"]
 
 
 @njit(**INNER)
@@ -116,6 +116,14 @@ def add_planes(faces, halfedges, normals, weights, of_vertices, of_edges):
                 origin = halfedges[e, side] // 3 % len(normals)
                 x, y, z = with_plane(x, y, z, get(normals, origin, 0), weights[origin, 1])
         put_rows(of_edges, e, x, y, z)
+
+
+@njit(**COMPILED)
+def keep_in_planes(matrices, move, results):
+    """Each displacement times its matrix."""
+    for i in range(len(move)):
+        matrix = matrices[i]
+        put(results, i, 0, dots(get(move, i, 0), get(matrix, 0, 0), get(matrix, 1, 0), get(matrix, 2, 0)))
 
 
 @njit(**COMPILED)

@@ -28,9 +28,8 @@ from neusub.bounds import (
     area_normals,
     around_edges,
     around_vertices,
-    bounded,
-    flattened,
     measured,
+    restrained,
     settled,
     unturned,
 )
@@ -102,14 +101,7 @@ class HalfFlapMLP(nn.Module):
             return move, told, None
         around = around_vertices(groups, said.measures, self.plan.sharp) if around is None else \
             around_edges(groups, by_columns(around))
-        heights = around[:, 0].contiguous()
-        if self.plan.sharp:
-            move = move * around[:, -1:]
-        if self.plan.flat:
-            move = move * flattened(heights, said.measures.size, self.plan.flat)[:, None]
-        if self.bound is not None:
-            move = bounded(move, said.measures, heights, self.bound)
-        return move, told, around
+        return restrained(move, said.measures, around, self.plan, self.bound), told, around
 
 
 def said_by_tensors(
