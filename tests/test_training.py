@@ -44,6 +44,7 @@ def files(tmp_path):
     {"batch": 1, "schedule": "constant"},
     {"batch": 3, "schedule": "cosine"},
     {"batch": 3, "network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5},
+    {"batch": 3, "network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5, "threads": 2},
 ])
 def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(files, tmp_path, options):
     config = replace(CONFIG, **options)
@@ -66,6 +67,21 @@ def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
                     for run in ("whole", "parts")]
     assert without_time[0] == without_time[1]
     assert len(without_time[0]) == 5
+
+
+@pytest.mark.parametrize("options", [{}, {"network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5}])
+def test_threads_share_a_batch_and_learn_what_one_does(files, tmp_path, options):
+    threads, rows = torch.get_num_threads(), {1: [], 2: []}
+    try:
+        for count, found in rows.items():
+            config = replace(CONFIG, batch=3, threads=count, learning_rate=1e-4, **options)
+            train(*files, tmp_path / str(count), config, on_epoch=found.append)
+            assert torch.get_num_threads() == count
+    finally:
+        torch.set_num_threads(threads)
+    losses = [[(row["training_loss"], row["validation_loss"]) for row in found] for found in rows.values()]
+    np.testing.assert_allclose(*losses, rtol=1e-4)
+    assert np.ptp(losses[0], axis=0).min() > 1e-3 * losses[0][0][0]  # they do learn
 
 
 def test_the_loss_falls_and_the_best_weights_are_saved_with_their_card(files, tmp_path):

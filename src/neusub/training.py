@@ -11,8 +11,11 @@ import csv
 import json
 import time
 import warnings
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -33,6 +36,7 @@ from neusub.subdivider import Subdivider, resolve_device
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "mean_coarse_edge", "set_rate", "train"]
 
 EDGE = 0.1  # mean coarse edge that pairs are brought to for a network that knows no scale: about the paper's
+Map = Callable[..., Iterable]  # as `map`
 KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed
 
 
@@ -92,12 +96,12 @@ class _Run:
         model, optimizer = fabric.setup(network, adam)
         return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State())
 
-    def epoch(self, batches: _Batches, validation: list[Batch]) -> tuple[float, float]:
+    def epoch(self, batches: _Batches, validation: list[Batch], each: Map) -> tuple[float, float]:
         """One epoch; its training and its validation loss, which is the training loss where nothing is held out."""
         began = time.perf_counter()
         set_rate(self.optimizer, self.config, self.state.epoch)
-        training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch)
-        loss = validate(self.model.module, validation, self.config.loss) if validation else training_loss
+        training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch, each)
+        loss = validate(self.model.module, validation, self.config.loss, each) if validation else training_loss
         if not np.isfinite(training_loss + loss):
             raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Train in another folder at "
                                 f"a learning rate below {self.config.learning_rate}, or look for broken pairs.")
@@ -158,12 +162,13 @@ def train(
         load_checkpoint(checkpoint, run)
     if run.state.epoch > config.epochs:
         raise TrainingError(f"{out}: the run has {run.state.epoch} epochs already, {config.epochs} were asked for.")
-    batches = _Batches(run.pairs, config, run.fabric.device)
+    workers = workers_of(config, run.fabric.device)
+    batches = _Batches(run.pairs, config, run.fabric.device, workers)
     validation = [batch_pairs([p], config.input, run.fabric.device) for p in read_pairs(validation_files, config)]
     out.mkdir(parents=True, exist_ok=True)
-    with _Log(out, run.state.epoch) as log:
+    with _Log(out, run.state.epoch) as log, in_threads(workers) as each:
         while run.state.epoch < config.epochs:
-            row = log.write(run.state, *run.epoch(batches, validation), config.epochs)
+            row = log.write(run.state, *run.epoch(batches, validation, each), config.epochs)
             if run.state.epoch % config.checkpoint_every == 0 or run.state.epoch == config.epochs:
                 save_checkpoint(checkpoint, run)
                 run.best_model().save(out / "model.safetensors")
@@ -194,25 +199,67 @@ def mean_coarse_edge(pairs: list[Pair]) -> float:
     return float(np.mean([np.linalg.norm(vectors, axis=-1).mean() for vectors in edges]))
 
 
-def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int) -> float:
+def workers_of(config: TrainingConfig, device: torch.device) -> int:
+    """Threads that share the meshes of a batch.  Most operations on a mesh of some hundred faces are too short to be
+    shared themselves."""
+    alone = device.type != "cpu" or config.precision != "32-true"
+    return 1 if alone else min(torch.get_num_threads(), config.batch)
+
+
+@contextmanager
+def in_threads(count: int) -> Iterator[Map]:
+    """A `map` that so many threads share.  Each has its part of torch's threads, and so has the caller meanwhile, whose
+    own would spin while they wait for more."""
+    if count == 1:
+        yield map
+        return
+    threads = torch.get_num_threads()
+    part = threads // count
+    torch.set_num_threads(part)
+    try:
+        with ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(part,)) as pool:
+            yield pool.map
+    finally:
+        torch.set_num_threads(threads)
+
+
+def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int, each: Map) -> float:
     """One pass over the training pairs; the mean loss of a mesh, over the levels that its step went to."""
+    weights = list(model.parameters())
     total, count = torch.zeros((), device=fabric.device, dtype=torch.float64), 0
-    for batch, meshes, depth in batches.epoch(epoch):
-        optimizer.zero_grad(set_to_none=True)
+
+    def loss_of(part: Batch, depth: int, meshes: int) -> Tensor:
         with fabric.autocast():  # the module itself: the wrapper would copy the half-flaps, to convert them
-            outputs = model.module(batch.positions, batch.levels[:depth])
-        loss = batch.loss(outputs, batches.config.loss) / meshes
-        fabric.backward(loss)
+            outputs = model.module(part.positions, part.levels[:depth])
+        return part.loss(outputs, batches.config.loss) / meshes
+
+    def with_gradients(part: Batch, depth: int, meshes: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+        loss = loss_of(part, depth, meshes)
+        return loss.detach(), torch.autograd.grad(loss, weights)
+
+    for parts, meshes, depth in batches.epoch(epoch):
+        optimizer.zero_grad(set_to_none=True)
+        if len(parts) == 1:
+            loss = loss_of(parts[0], depth, meshes)
+            fabric.backward(loss)
+        else:
+            losses, gradients = zip(*each(partial(with_gradients, depth=depth, meshes=meshes), parts))
+            loss = torch.stack(losses).sum()
+            for weight, shares in zip(weights, zip(*gradients)):
+                weight.grad = sum(shares[1:], start=shares[0])
         optimizer.step()
         total += loss.detach() * meshes
         count += meshes
     return float(total) / count
 
 
-def validate(model, batches: list[Batch], loss: str = "squared") -> float:
+def validate(model, batches: list[Batch], loss: str = "squared", each: Map = map) -> float:
     """Mean over the meshes of the loss of one."""
-    with torch.no_grad():
-        return float(np.mean([float(batch.loss(model(batch.positions, batch.levels), loss)) for batch in batches]))
+    def loss_of(batch: Batch) -> float:
+        with torch.no_grad():
+            return float(batch.loss(model(batch.positions, batch.levels), loss))
+
+    return float(np.mean(list(each(loss_of, batches))))
 
 
 def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
@@ -226,31 +273,32 @@ def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
 
 
 class _Batches:
-    """The training pairs in fixed groups of equal depth, made once and kept; only their order changes from epoch to
-    epoch.
+    """The training pairs in fixed groups of equal depth, in a part for each worker, made once and kept; only their
+    order changes from epoch to epoch.
 
     Unions that changed with the epoch were a quarter slower, as each had to be sorted anew.
     """
 
-    def __init__(self, pairs: list[Pair], config: TrainingConfig, device: torch.device):
-        self.pairs, self.config, self.device = pairs, config, device
+    def __init__(self, pairs: list[Pair], config: TrainingConfig, device: torch.device, workers: int):
+        self.pairs, self.config, self.device, self.workers = pairs, config, device, workers
         count = len(pairs)
         order = np.arange(count) if config.batch == 1 else np.random.default_rng(config.seed).permutation(count)
         depths = np.array([pair.levels for pair in pairs])
         self.groups = [alike[i : i + config.batch] for depth in np.unique(depths)
                        for alike in (order[depths[order] == depth],) for i in range(0, len(alike), config.batch)]
-        self.kept: dict[int, Batch] = {}
+        self.kept: dict[int, list[Batch]] = {}
 
-    def epoch(self, epoch: int) -> Iterator[tuple[Batch, int, int]]:
-        """Each batch, its number of meshes, and to which level its step goes."""
+    def epoch(self, epoch: int) -> Iterator[tuple[list[Batch], int, int]]:
+        """The parts of each batch, its number of meshes, and to which level its step goes."""
         stops = np.random.default_rng([self.config.seed, epoch, 1]).random(len(self.groups)) < self.config.shallow
         for k in epoch_order(len(self.groups), self.config.seed, epoch):
-            batch = self.kept.get(k)
-            if batch is None:
-                batch = batch_pairs([self.pairs[i] for i in self.groups[k]], self.config.input, self.device)
+            parts, group = self.kept.get(k), self.groups[k]
+            if parts is None:
+                parts = [batch_pairs([self.pairs[i] for i in part], self.config.input, self.device)
+                         for part in np.array_split(group, min(self.workers, len(group)))]
                 if len(self.pairs) <= KEPT_PAIRS:
-                    self.kept[k] = batch
-            yield batch, len(self.groups[k]), 1 if stops[k] else len(batch.levels)
+                    self.kept[k] = parts
+            yield parts, len(group), 1 if stops[k] else len(parts[0].levels)
 
 
 # --- checkpoints and logs ----------------------------------------------------------------------------------------
