@@ -21,6 +21,7 @@ from neusub.selfparam import STRATEGIES, Criteria, SelfParameterization, decimat
 from neusub.selfparam import decimation as door
 from neusub.selfparam.collapse import DONE, FULL, STUCK, Work, collapse_null_edges, offer_all, run
 from neusub.selfparam.queue import FIRST
+from neusub.selfparam.surface import BORDER, SEAMS, TWIN, VERSION
 from neusub.topology import connected_components
 
 
@@ -60,7 +61,7 @@ def collapses(mesh: Mesh, strategy: str = "quadric", angle: float | None = None)
     left = 0
     while left != work.sizes[0]:  # edges without length, one a call: the target is one vertex less
         left = int(work.sizes[0])
-        if collapse_null_edges(work, user, 0, left - 1, 0) < len(work.surface.twins):
+        if collapse_null_edges(work, user, 0, left - 1, 0) < 3 * len(mesh.faces):
             work, left = door.with_room(work, len(mesh.faces)), 0
         elif work.sizes[0] < left:
             yield work
@@ -79,20 +80,22 @@ def checked(work: Work) -> Mesh:
     """The current mesh, which has passed the checks of `Mesh`; every array of the kernel agrees with it."""
     surface, charts = work.surface, work.charts
     alive = np.flatnonzero(surface.faces[:, 0] >= 0)
-    kept, corners = np.unique(surface.faces[alive], return_inverse=True)
+    kept, corners = np.unique(surface.faces[alive, :3], return_inverse=True)
     mesh = Mesh(surface.positions[kept], corners.reshape(-1, 3))
     assert work.sizes[:2].tolist() == [len(kept), len(alive)]
 
     number = np.full(len(surface.faces), -1)
     number[alive] = np.arange(len(alive))
-    twins = surface.twins.reshape(-1, 3)[alive].reshape(-1)
+    all_twins = surface.faces[:, TWIN:SEAMS].reshape(-1)
+    twins = all_twins.reshape(-1, 3)[alive].reshape(-1)
     assert np.array_equal(np.where(twins < 0, -1, 3 * number[twins // 3] + twins % 3), mesh.topology.twins)
 
     starts = surface.starts[kept]
     assert np.array_equal(surface.faces[starts // 3, starts % 3], kept)
-    assert np.array_equal(surface.twins[starts] < 0, mesh.topology.is_boundary_vertex)
+    assert np.array_equal(all_twins[starts] < 0, mesh.topology.is_boundary_vertex)
+    assert np.array_equal(surface.holds[kept] >= BORDER, mesh.topology.is_boundary_vertex)
 
-    versions = surface.versions[alive]
+    versions = surface.faces[alive, VERSION]
     assert len(np.unique(versions)) == len(versions)
     assert (charts.consumed_by[versions] < 0).all()
     assert np.array_equal(charts.made_by[versions] < 0, versions < len(surface.faces))
@@ -102,7 +105,7 @@ def checked(work: Work) -> Mesh:
     assert np.array_equal(work.queue.places[edges], np.arange(len(edges)))
 
     halfedges = (3 * alive[:, None] + np.arange(3)).reshape(-1)
-    twins = surface.twins[halfedges]
+    twins = all_twins[halfedges]
     is_out = work.queue.places[np.where(twins < 0, halfedges, np.minimum(halfedges, twins))] < 0
     assert work.refused[surface.faces[halfedges // 3, halfedges % 3]][is_out].all()  # so they will be offered again
     return mesh

@@ -30,8 +30,10 @@ from neusub.selfparam.criteria import (
 from neusub.selfparam.flatten import Solver, flatten_after, flatten_before
 from neusub.selfparam.mapping import Charts, has_room, record
 from neusub.selfparam.placement import QUADRIC, REMOVAL, evaluate, place_edge, subtract_mean
+from neusub.selfparam.prefetching import fetch_next, fetch_places, fetch_ring
 from neusub.selfparam.queue import Queue, cheapest, put, take_out
 from neusub.selfparam.surface import (
+    BORDER,
     FIXED,
     FREE,
     ON_SEAM,
@@ -45,7 +47,7 @@ from neusub.selfparam.surface import (
     gather_ring,
     has_repetition,
     head,
-    on_boundary,
+    is_seam,
     tail,
     twin_of,
 )
@@ -91,6 +93,7 @@ def run(work, user, min_vertices, min_faces, pause):
             offer_all(work, user)  # what was refused may be legal now
             continue
         edge = cheapest(queue, work.options[1], work.random)
+        fetch_next(work)
         reason = try_collapse(work, user, edge)
         if reason == NO_ROOM:
             return FULL
@@ -104,17 +107,17 @@ def run(work, user, min_vertices, min_faces, pause):
 def first_null_edge(surface):
     """The first half-edge of no length; the number of half-edges where there is none, as on most meshes, which need
     not compile `collapse_null_edges` then."""
-    for h in range(len(surface.twins)):
+    for h in range(3 * len(surface.faces)):
         if is_null(surface, h):
             return h
-    return len(surface.twins)
+    return 3 * len(surface.faces)
 
 
 @njit(**COMPILED)
 def collapse_null_edges(work, user, first, min_vertices, min_faces):
     """Collapse the edges of length zero, from half-edge `first`; where it stopped for want of room, or the end."""
     surface = work.surface
-    for h in range(first, len(surface.twins)):
+    for h in range(first, 3 * len(surface.faces)):
         if work.sizes[0] <= min_vertices or work.sizes[1] <= min_faces:
             break
         if surface.faces[h // 3, 0] < 0 or edge_of(surface, h) != h or not is_null(surface, h):
@@ -123,7 +126,7 @@ def collapse_null_edges(work, user, first, min_vertices, min_faces):
         if reason == NO_ROOM:
             return h
         work.counts[reason] += 1
-    return len(surface.twins)
+    return 3 * len(surface.faces)
 
 
 @njit(**COMPILED)
@@ -133,7 +136,7 @@ def offer_all(work, user):
     work.sizes[2] = 0
     for v in range(len(work.refused)):
         work.refused[v] = False
-    for h in range(len(surface.twins)):
+    for h in range(3 * len(surface.faces)):
         if surface.faces[h // 3, 0] >= 0 and edge_of(surface, h) == h:
             offer(work, user, h)
             work.counts[BOUNDARY] += which_end(surface, h) == -2
@@ -162,11 +165,14 @@ def which_end(surface, h):
 @njit(**INNER)
 def hold_of(surface, h, v):
     """What holds an end of h against a collapse of h: along a boundary or a seam its vertices are free."""
-    if surface.twins[h] >= 0 and on_boundary(surface, v):
-        return FIXED
-    if surface.holds[v] == ON_SEAM and surface.is_seam[h]:
+    hold = np.int64(surface.holds[v])
+    if hold >= BORDER:
+        if twin_of(surface, h) >= 0:
+            return FIXED
+        hold -= BORDER
+    if hold == ON_SEAM and is_seam(surface, h):
         return FREE
-    return surface.holds[v]
+    return hold
 
 
 @njit(**INNER)
@@ -226,6 +232,7 @@ def try_collapse(work, user, h):
     m, split, gap = gather_ring(surface, h, ring)
     if m == 0:
         return VALENCE
+    fetch_ring(work, m, gap)
     if m < 2 or (m < 3 and gap < 0) or has_repetition(surface, ring, m):
         return LINK
     if not has_room(work.charts, m):
@@ -234,7 +241,7 @@ def try_collapse(work, user, h):
     place(work, user, h, end)
     copy_points(work, h, m)
     kept = m if merged else kept_end(work, h, m, end)
-    has_f1 = surface.twins[h] >= 0
+    has_f1 = twin_of(surface, h) >= 0
     if not has_f1 and not merged and kept < 0 and (gap == 0 or gap == m - 1):
         kept = m if gap == 0 else m + 1  # an end with one face only is a corner: in the plane it stays
     tiny = is_tiny(ring, m, work.area[0] / work.sizes[1], work.criteria)
@@ -242,6 +249,7 @@ def try_collapse(work, user, h):
         reason = check_space(ring, m, split, gap, has_f1, work.criteria)
         if reason != LEGAL:
             return reason
+    fetch_places(work, m, gap)
     conformal = work.options[2] > 0
     reason = flatten(work, m, split, gap, has_f1, merged, kept, tiny, conformal)
     if tiny and conformal and reason in (PLANE_BEFORE, PLANE_AFTER):
@@ -291,7 +299,8 @@ def merge(work, user, h, m, split, gap):
     for attribute in range(work.gradients.shape[1]):
         for term in range(5):
             work.gradients[j, attribute, term] += work.gradients[k, attribute, term]
-    surface.holds[j] = max(surface.holds[j], surface.holds[k])
+    a, b = surface.holds[j], surface.holds[k]
+    surface.holds[j] = max(a % BORDER, b % BORDER) + max(a, b) // BORDER * BORDER
     work.sizes[0] -= 1
     work.sizes[1] -= 2 if twin >= 0 else 1
     work.sizes[2] += 1

@@ -27,7 +27,7 @@ from neusub.selfparam.placement import (
     vertex_quadrics,
 )
 from neusub.selfparam.queue import make_queue
-from neusub.selfparam.surface import FIXED, FREE, Surface, frame_of, make_ring
+from neusub.selfparam.surface import BORDER, FIXED, FREE, SEAMS, TWIN, VERSION, WIDTH, Surface, frame_of, make_ring
 from neusub.topology import Topology
 
 __all__ = ["decimate"]
@@ -112,8 +112,8 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         holds, is_seam = seam_holds(mesh)
     if sharp_boundary_angle is not None:
         holds[sharp_boundary_vertices(positions, topology, sharp_boundary_angle)] = FIXED
-    surface = Surface(positions, mesh.faces.astype(np.int32), topology.twins.astype(np.int32), starts,
-                      np.arange(n_faces, dtype=np.int32), holds, is_seam, np.zeros(len(positions), np.int32))
+    holds[topology.is_boundary_vertex] += BORDER
+    surface = Surface(positions, face_rows(topology, is_seam), starts, holds, np.zeros(len(positions), np.int32))
     is_open = bool(topology.is_boundary_edge.any())
     spread = TIES if plan.breaks_ties and not is_open else plan.spread
     quadrics, areas = vertex_quadrics(positions, topology, spread)
@@ -123,7 +123,7 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         quadrics += more
     order = file_order(len(positions), n_faces)
     if n_faces > LARGE:
-        order = local_order(positions, surface.faces)
+        order = local_order(positions, surface.faces[:, :3])
         surface = reordered(surface, order)
         quadrics, gradients = quadrics[order.vertices], gradients[order.vertices]
     capacity = min(2 * int(topology.valence.max()) + 64, CAPACITY)
@@ -160,9 +160,9 @@ def collapse_all(work: Work, user: Any, targets: tuple[int, int], on_progress: A
     """Run the kernels to the end, with more room for the charts whenever they ask for it."""
     n_faces = len(work.surface.faces)
     at = first_null_edge(work.surface)
-    while at < len(work.surface.twins):
+    while at < 3 * n_faces:
         at = collapse_null_edges(work, user, at, *targets)
-        if at < len(work.surface.twins):
+        if at < 3 * n_faces:
             work = with_room(work, n_faces)
     offer_all(work, user)
     while True:
@@ -185,20 +185,28 @@ def finish(mesh: Mesh, work: Work, order: Order, reached: bool, strategy: str, s
     surface = work.surface
     alive = np.flatnonzero(surface.faces[:, 0] >= 0)
     alive = alive[np.argsort(order.faces[alive])]
-    kept, faces = np.unique(order.vertices[surface.faces[alive]], return_inverse=True)
+    kept, faces = np.unique(order.vertices[surface.faces[alive, :3]], return_inverse=True)
     place = np.empty(len(mesh.vertices), np.int32)
     place[order.vertices] = np.arange(len(place), dtype=np.int32)
     return SelfParameterization(
         fine=mesh,
         faces=faces.reshape(-1, 3).astype(np.int64),
         decimated=surface.positions[place[kept]],
-        versions=surface.versions[alive].astype(np.int32),
+        versions=surface.faces[alive, VERSION],
         charts=finished(work.charts),
         reached=reached,
         counts={name: int(n) for name, n in zip(REASONS, work.counts)},
         strategy=strategy,
         seed=seed,
     )
+
+
+def face_rows(topology: Topology, is_seam: ndarray) -> ndarray:
+    """`Surface.faces`."""
+    rows = np.empty((len(topology.faces), WIDTH), np.int32)
+    rows[:, :VERSION], rows[:, VERSION] = topology.faces, np.arange(len(rows))
+    rows[:, TWIN:SEAMS], rows[:, SEAMS] = topology.twins.reshape(-1, 3), is_seam.reshape(-1, 3) @ [1, 2, 4]
+    return rows
 
 
 def outgoing(topology: Topology) -> ndarray:

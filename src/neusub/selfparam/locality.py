@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, UInt64
 from numpy import ndarray
 
-from neusub.selfparam.surface import Surface
+from neusub.selfparam.surface import SEAMS, TWIN, VERSION, Surface
 
 __all__ = ["LARGE", "Order", "file_order", "local_order", "reordered"]
 
@@ -56,18 +56,15 @@ def reordered(surface: Surface, order: Order) -> Surface:
     new_vertex, new_face = (np.empty(len(old), np.int32) for old in order)
     new_vertex[order.vertices] = np.arange(len(new_vertex), dtype=np.int32)
     new_face[order.faces] = np.arange(len(new_face), dtype=np.int32)
-    corners = (3 * order.faces[:, None] + np.arange(3, dtype=np.int32)).reshape(-1)
-
     def renamed(halfedges: ndarray) -> ndarray:
         return np.where(halfedges < 0, halfedges, 3 * new_face[halfedges // 3] + halfedges % 3)
 
+    faces = surface.faces[order.faces]
+    faces[:, :VERSION], faces[:, TWIN:SEAMS] = new_vertex[faces[:, :VERSION]], renamed(faces[:, TWIN:SEAMS])
     return Surface(
         positions=surface.positions[order.vertices],
-        faces=new_vertex[surface.faces[order.faces]],
-        twins=renamed(surface.twins[corners]),
+        faces=faces,
         starts=renamed(surface.starts[order.vertices]),
-        versions=surface.versions[order.faces],
         holds=surface.holds[order.vertices],
-        is_seam=surface.is_seam[corners],
         marks=surface.marks,
     )

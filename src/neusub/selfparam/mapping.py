@@ -23,7 +23,7 @@ from numba import njit
 from numpy import ndarray
 
 from neusub.compilation import COMPILED, INNER
-from neusub.selfparam.surface import ZERO, copy_row
+from neusub.selfparam.surface import VERSION, ZERO, copy_row, twin_of
 
 __all__ = [
     "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "finished", "go_down", "go_up", "grown",
@@ -131,7 +131,7 @@ def set_corners(faces, row, corner, a, b, c, first):
 @njit(**INNER)
 def consume(charts, surface, row, h, a, b, c_local, first):
     """Write the face of half-edge h, which runs from a to b, into row `row` of `before`."""
-    charts.old[row] = surface.versions[h // 3]
+    charts.old[row] = surface.faces[h // 3, VERSION]
     set_corners(charts.before, row, h % 3, a, b, c_local, first)
 
 
@@ -155,10 +155,10 @@ def record(charts, surface, ring, h, m, split, gap):
         consume(charts, surface, row + n, g, m if t < split else m + 1, t, s, n)
         set_corners(charts.after, made + n, g % 3, m + 2, t, s, n)
         charts.made_by[version + n] = c
-        surface.versions[g // 3] = version + n
+        surface.faces[g // 3, VERSION] = version + n
         n += 1
     consume(charts, surface, row + n, h, m, m + 1, ZERO, ZERO)
-    end, twin = row + n + 1, np.int64(surface.twins[h])
+    end, twin = row + n + 1, twin_of(surface, h)
     if twin >= 0:
         consume(charts, surface, end, twin, m + 1, m, split, split - 1 if 0 <= gap < split else split % n)
         end += 1

@@ -14,7 +14,7 @@ from numpy import ndarray
 
 from neusub.compilation import COMPILED, INNER
 
-__all__ = ["FIRST", "Queue", "cheapest", "draw", "make_queue", "put", "take_out"]
+__all__ = ["FIRST", "Queue", "cheapest", "draw", "edge_at", "make_queue", "put", "take_out"]
 
 FIRST = 3  # row of the first entry, so that children begin at multiples of four
 LINE = 64  # bytes

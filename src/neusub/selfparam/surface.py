@@ -25,11 +25,16 @@ from numpy import ndarray
 from neusub.compilation import INNER
 
 __all__ = [
-    "FIXED", "FREE", "ONE", "ON_SEAM", "ZERO", "Ring", "Surface", "collapse_edge", "frame_of", "gather_ring",
-    "make_ring",
+    "BORDER", "FIXED", "FREE", "ONE", "ON_SEAM", "SEAMS", "TWIN", "VERSION", "WIDTH", "ZERO", "Ring", "Surface",
+    "collapse_edge", "frame_of", "gather_ring", "make_ring",
 ]  # fmt: skip
 
 FREE, ON_SEAM, FIXED = range(3)
+BORDER = 4  # is added to these
+
+VERSION, TWIN, SEAMS, WIDTH = 3, 4, 7, 8  # columns of `Surface.faces`
+
+FEW = 16  # vertices of a ring that are compared faster than marked
 
 ZERO, ONE = np.int64(0), np.int64(1)  # for kernels, which are compiled once more for each plain number in a call
 
@@ -38,12 +43,12 @@ class Surface(NamedTuple):
     """The current mesh.  Faces and vertices that are gone stay in the arrays: faces[f, 0] < 0."""
 
     positions: ndarray  # (nV, 3) float64, in the normalised frame
-    faces: ndarray  # (nF, 3) int32
-    twins: ndarray  # (3 nF,) int32: the half-edge the other way; -1 on the boundary
+    # (nF, WIDTH) int32, so that all that there is of a face is in one line of the cache: its corners; its current
+    # version (`mapping.py`); from TWIN on the half-edges the other way, -1 on the boundary; and bits of its three
+    # half-edges: whether they are along a seam of the texture, as both of an edge are
+    faces: ndarray
     starts: ndarray  # (nV,) int32: a half-edge that leaves the vertex; on the boundary the one without twin
-    versions: ndarray  # (nF,) int32: current version of each face (`mapping.py`)
-    holds: ndarray  # (nV,) uint8: FREE; ON_SEAM, it moves along the seam only; FIXED, it never moves
-    is_seam: ndarray  # (3 nF,) bool: half-edges along a seam of the texture, both of an edge
+    holds: ndarray  # (nV,) uint8: FREE; ON_SEAM, it moves along the seam only; FIXED, it never moves; and BORDER
     marks: ndarray  # (nV,) int32: scratch of `has_repetition`
 
 
@@ -96,7 +101,7 @@ def tail(surface, h):
 
 @njit(**INNER)
 def twin_of(surface, h):
-    return np.int64(surface.twins[h])
+    return np.int64(surface.faces[h // 3, TWIN + h % 3])
 
 
 @njit(**INNER)
@@ -112,8 +117,14 @@ def edge_of(surface, h):
 
 
 @njit(**INNER)
-def on_boundary(surface, v):
-    return surface.twins[surface.starts[v]] < 0
+def is_seam(surface, h):
+    return (surface.faces[h // 3, SEAMS] >> h % 3) & 1 > 0
+
+
+@njit(**INNER)
+def set_seam(surface, h):
+    if h >= 0:
+        surface.faces[h // 3, SEAMS] |= 1 << h % 3
 
 
 @njit(**INNER)
@@ -169,6 +180,12 @@ def gather_ring(surface, h, ring):
 @njit(**INNER)
 def has_repetition(surface, ring, m):
     """Whether a vertex is in the ring twice: then the link condition Lk(j) & Lk(k) = Lk(jk) fails."""
+    if m <= FEW:
+        for t in range(m):
+            for s in range(t):
+                if ring.vertices[s] == ring.vertices[t]:
+                    return True
+        return False
     for t in range(m):
         surface.marks[ring.vertices[t]] = -1
     for t in range(m):
@@ -183,9 +200,9 @@ def has_repetition(surface, ring, m):
 def join(surface, a, b):
     """Make two half-edges twins; one of them may be absent."""
     if a >= 0:
-        surface.twins[a] = b
+        surface.faces[a // 3, TWIN + a % 3] = b
     if b >= 0:
-        surface.twins[b] = a
+        surface.faces[b // 3, TWIN + b % 3] = a
 
 
 @njit(**INNER)
@@ -193,11 +210,9 @@ def remove_face(surface, h):
     """Take the face of h = j -> k out and close the slit: its other two edges become one."""
     into, out = twin_of(surface, after(h)), twin_of(surface, before(h))  # c -> k and j -> c, beyond the face
     join(surface, into, out)
-    if surface.is_seam[after(h)] or surface.is_seam[before(h)]:
-        if into >= 0:
-            surface.is_seam[into] = True
-        if out >= 0:
-            surface.is_seam[out] = True
+    if is_seam(surface, after(h)) or is_seam(surface, before(h)):
+        set_seam(surface, into)
+        set_seam(surface, out)
     c = tail(surface, before(h))
     if surface.starts[c] == before(h):
         surface.starts[c] = into
