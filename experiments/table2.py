@@ -85,8 +85,8 @@ def trained(part: str, options: argparse.Namespace) -> tuple[TrainingResult, dic
                             seed=options.seed, vertices=options.vertices, strategy=strategy)
         reports.append(make_pairs(sources_of(part, options), folder.with_name(f"{folder.name}-{strategy}"), config,
                                   strict=True, licence=TOSCA))
-    train_files, validation_files = ([file for report in reports for file in files]
-                                     for files in zip(*((report.train, report.validation) for report in reports)))
+    train_files = [file for report in reports for file in report.train]
+    validation_files = [file for report in reports for file in report.validation]
     files = [read_header(file)["report"] for file in train_files]
     settings = replace(PRESETS["paper"], seed=options.seed, threads=options.threads, epochs=options.epochs or 700)
     if options.loss == "surface":
