@@ -164,8 +164,8 @@ def cages() -> str:
     return markdown(["", "turned triangles", "cages with any", "crossing pairs", "cages with any"], rows)
 
 
-def ablation() -> str:
-    data = next(iter(results("ablation")["summary"].values()))  # of the smallest setting
+def ablation(setting: int = 0) -> str:
+    data = list(results("ablation")["summary"].values())[setting]  # from the smallest to the largest
     names = {"paper": "the paper's network", "loss on the last level": "loss on the last level only",
              "from Loop": "displacements from Loop's positions", "2 vertex steps": "2 vertex steps",
              "MeshCNN features": "MeshCNN's features",
@@ -173,7 +173,7 @@ def ablation() -> str:
              "relative lengths": "the paper's inputs, lengths in edge lengths"}
 
     def digits(value: float) -> str:
-        return f"{1e6 * value:.{2 if value < 1e-5 else 1 if value < 1e-4 else 0}f}"
+        return f"{1e6 * value:.{3 if value < 1e-8 else 2 if value < 1e-5 else 1 if value < 1e-4 else 0}f}"
 
     rows = [[names.get(variant, variant), str(row["seeds"]), *map(digits, (*row["levels"], row["sum"])),
              digits(row["deviation"]) if row["seeds"] > 1 else "", f"{row['cpu_seconds']:.0f}"]
@@ -182,9 +182,13 @@ def ablation() -> str:
                      "seconds of one core"], rows)
 
 
+def ablation_full() -> str:
+    return ablation(-1)
+
+
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
     fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle,
-    upsampling, cages, ablation)}
+    upsampling, cages, ablation, ablation_full)}
 
 
 def renewed(text: str) -> str:
