@@ -58,8 +58,8 @@ PAPER = {"top": {"M": {"butterfly": 0.806, "loop": 0.274}, "H": {"butterfly": 0.
 
 
 def sources_of(part: str, options: argparse.Namespace) -> list[Path]:
-    """The poses of one part's categories as files, with their copies if they are to be `varied`."""
-    meshes = options.runs / "table2" / "meshes"
+    """The poses of one part's categories as files; with their copies, in any order, if they are to be `varied`."""
+    meshes = options.runs / "table2" / (f"meshes-{options.seed}" if options.varied else "meshes")
     meshes.mkdir(parents=True, exist_ok=True)
     sources = []
     for category in PARTS[part]:
@@ -70,6 +70,8 @@ def sources_of(part: str, options: argparse.Namespace) -> list[Path]:
                 sources.append(meshes / f"{category}{pose}{f'-{copy}' if copy else ''}.ply")
                 if not sources[-1].exists():
                     neusub.save(shape, sources[-1])
+    if options.varied:  # the first ones have a pair more, and the few that are held out
+        np.random.default_rng(options.seed).shuffle(sources)  # type: ignore[arg-type]
     return sources
 
 
@@ -79,11 +81,11 @@ def trained(part: str, options: argparse.Namespace) -> tuple[TrainingResult, dic
     training, validation = ((20, 6) if quick else (200, 20))
     sizes = "" if options.vertices == VERTICES else "-{}-{}".format(*options.vertices)
     folder = options.runs / "table2" / f"{part}{sizes}{'-varied' * options.varied}{'-quick' * quick}"
-    reports = []
+    sources, reports = sources_of(part, options), []
     for strategy in strategies:
         config = PairConfig(total=training // len(strategies), validation=validation // len(strategies),
                             seed=options.seed, vertices=options.vertices, strategy=strategy)
-        reports.append(make_pairs(sources_of(part, options), folder.with_name(f"{folder.name}-{strategy}"), config,
+        reports.append(make_pairs(sources, folder.with_name(f"{folder.name}-{strategy}"), config,
                                   strict=True, licence=TOSCA))
     train_files = [file for report in reports for file in report.train]
     validation_files = [file for report in reports for file in report.validation]
