@@ -10,6 +10,7 @@ import patches
 import shapes
 from neusub import flaps, subdivider
 from neusub.bounds import (
+    Measures,
     area_normals,
     around_edges,
     around_vertices,
@@ -165,18 +166,22 @@ def test_the_kernel_finds_the_turned_triangles_that_tensors_find(dtype, monkeypa
     assert len(found[0]) > 0
 
 
+@pytest.mark.parametrize("turn", [np.eye(3), rotation()])
 @pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
 @pytest.mark.parametrize("make", [
     shapes.cube, lambda: shapes.bumpy(shapes.torus(9, 7)), lambda: shapes.open_cylinder(5, 3), shapes.collinear_face,
     lambda: shapes.punctured(shapes.cube(), [0]), lambda: shapes.with_null_edges(shapes.icosphere(2), 10),
+    lambda: shapes.grid(5, 4),
 ])
-def test_kernels_hold_and_restrain_what_tensors_do(make, dtype, monkeypatch):
+def test_kernels_hold_and_restrain_what_tensors_do(make, dtype, turn, monkeypatch):
     vertices, faces = make()
     (level,) = flaps_of(faces, len(vertices), 1)
-    positions = torch.tensor(vertices @ rotation().T, dtype=dtype)
+    positions = torch.tensor(vertices @ turn.T, dtype=dtype)
     plan, bound = Architecture(flat=0.3, sharp=0.03), (0.25, 0.6, 0.3)
     generator, found = torch.Generator().manual_seed(0), {}
-    moves = [torch.randn(n, 3, generator=generator, dtype=dtype) for n in (len(vertices), len(level.edges))]
+    anything = torch.rand(len(vertices), 5, generator=generator, dtype=dtype).T.contiguous().T
+    moves = [10.0 ** torch.randint(-6, 2, (n, 1), generator=generator) * torch.randn(n, 3, generator=generator)
+             for n in (len(vertices), len(level.edges))]
     for enough in (0, np.inf):
         monkeypatch.setattr(flaps, "ENOUGH", enough)
         measures = []
@@ -185,11 +190,26 @@ def test_kernels_hold_and_restrain_what_tensors_do(make, dtype, monkeypatch):
             measures.append(measured(groups, edges, local_frames(edges)[0], True))
         around = around_vertices(level.by_vertex, measures[0], plan.sharp)
         arounds = around, around_edges(level.by_edge, around)
-        kept = [restrained(move, *known, plan, bound) for move, *known in zip(moves, measures, arounds)]
-        found[enough] = *arounds, *kept
+        kept = [restrained(move.to(dtype), *known, plan, bound) for move, *known in zip(moves, measures, arounds)]
+        found[enough] = *arounds, around_edges(level.by_edge, anything), *kept
     for a, b in zip(found[0], found[np.inf]):
-        torch.testing.assert_close(a, b, rtol=1e-4 if dtype == torch.float32 else 1e-12, atol=1e-6)
+        rtol, atol = (1e-4, 1e-6) if dtype == torch.float32 else (1e-10, 1e-13)
+        torch.testing.assert_close(a, b, rtol=rtol, atol=atol)
         assert a.dtype == dtype
+
+
+def test_the_kernel_bounds_displacements_next_to_nothing_as_tensors_do(monkeypatch):
+    """Where the bound is about as small as `bounds.NOTHING`."""
+    generator = torch.Generator().manual_seed(0)
+    small = 10.0 ** (-8 + 4 * torch.rand(3, 200, generator=generator, dtype=torch.float64))
+    measures = Measures(small[0], small[1].square(), small[2].square(), small[1], None)
+    around = torch.stack([small[0], torch.rand(200, generator=generator, dtype=torch.float64)]).T
+    move, plan = torch.randn(200, 3, generator=generator, dtype=torch.float64), Architecture(flat=0.3, sharp=0.03)
+    found = []
+    for enough in (0, np.inf):
+        monkeypatch.setattr(flaps, "ENOUGH", enough)
+        found.append(restrained(move, measures, around, plan, (0.25, 0.6, 0.3)))
+    torch.testing.assert_close(*found, rtol=1e-10, atol=0)
 
 
 def test_gradients_go_through_where_kernels_look_for_turned_triangles(monkeypatch):

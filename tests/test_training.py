@@ -17,10 +17,17 @@ from neusub.mesh import Mesh
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
-from neusub.training import PRESETS, train
+from neusub.training import PRESETS, in_threads, train, workers_of
 from test_network import make_pair
 
 CONFIG = TrainingConfig(epochs=4, checkpoint_every=1, device="cpu")
+
+
+@pytest.fixture(autouse=True)
+def threads_as_before():
+    threads = torch.get_num_threads()
+    yield
+    torch.set_num_threads(threads)
 
 
 def loop_pair(vertices, faces) -> Pair:
@@ -71,17 +78,28 @@ def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
 
 @pytest.mark.parametrize("options", [{}, {"network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5}])
 def test_threads_share_a_batch_and_learn_what_one_does(files, tmp_path, options):
-    threads, rows = torch.get_num_threads(), {1: [], 2: []}
-    try:
-        for count, found in rows.items():
-            config = replace(CONFIG, batch=3, threads=count, learning_rate=1e-4, **options)
-            train(*files, tmp_path / str(count), config, on_epoch=found.append)
-            assert torch.get_num_threads() == count
-    finally:
-        torch.set_num_threads(threads)
+    rows: dict[int, list] = {1: [], 2: []}
+    for count, found in rows.items():
+        config = replace(CONFIG, batch=3, threads=count, learning_rate=1e-4, **options)
+        train(*files, tmp_path / str(count), config, on_epoch=found.append)
+        assert torch.get_num_threads() == workers_of(config, torch.device("cpu")) == count
     losses = [[(row["training_loss"], row["validation_loss"]) for row in found] for found in rows.values()]
     np.testing.assert_allclose(*losses, rtol=1e-4)
     assert np.ptp(losses[0], axis=0).min() > 1e-3 * losses[0][0][0]  # they do learn
+
+
+def test_threads_are_as_before_when_one_of_them_fails():
+    torch.set_num_threads(4)
+    seen = []
+
+    def fail(number: int) -> None:
+        seen.append(torch.get_num_threads())
+        raise ZeroDivisionError
+
+    with pytest.raises(ZeroDivisionError), in_threads(2) as each:
+        list(each(fail, range(2)))
+    assert set(seen) == {2}
+    assert torch.get_num_threads() == 4
 
 
 def test_the_loss_falls_and_the_best_weights_are_saved_with_their_card(files, tmp_path):

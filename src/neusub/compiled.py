@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import cache
@@ -211,8 +212,9 @@ def constants_of(dtype: torch.dtype, is_relative: bool, is_silu: bool) -> Consta
 
 
 @cache
-def threads_of(count: int) -> ThreadPoolExecutor:
-    return ThreadPoolExecutor(count)
+def workers() -> ThreadPoolExecutor:
+    """As many as there are cores: for all threads that call kernels, each of which has its own number of torch's."""
+    return ThreadPoolExecutor(os.cpu_count())
 
 
 def in_parts(kernel: Callable, fixed: tuple, count: int, half_flaps: int, *results: ndarray,
@@ -226,6 +228,6 @@ def in_parts(kernel: Callable, fixed: tuple, count: int, half_flaps: int, *resul
     if parts == 1:
         kernel(*calls[0])
     else:
-        for task in [threads_of(torch.get_num_threads()).submit(kernel, *call) for call in calls]:
+        for task in [workers().submit(kernel, *call) for call in calls]:
             task.result()
     return owned

@@ -56,6 +56,7 @@ def reordered(surface: Surface, order: Order) -> Surface:
     new_vertex, new_face = (np.empty(len(old), np.int32) for old in order)
     new_vertex[order.vertices] = np.arange(len(new_vertex), dtype=np.int32)
     new_face[order.faces] = np.arange(len(new_face), dtype=np.int32)
+
     def renamed(halfedges: ndarray) -> ndarray:
         return np.where(halfedges < 0, halfedges, 3 * new_face[halfedges // 3] + halfedges % 3)
 

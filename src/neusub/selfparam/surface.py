@@ -43,9 +43,9 @@ class Surface(NamedTuple):
     """The current mesh.  Faces and vertices that are gone stay in the arrays: faces[f, 0] < 0."""
 
     positions: ndarray  # (nV, 3) float64, in the normalised frame
-    # (nF, WIDTH) int32, so that all that there is of a face is in one line of the cache: its corners; its current
-    # version (`mapping.py`); from TWIN on the half-edges the other way, -1 on the boundary; and bits of its three
-    # half-edges: whether they are along a seam of the texture, as both of an edge are
+    # (nF, WIDTH) int32, together, for memory is read by the line: a face's corners; its current version (`mapping.py`);
+    # from TWIN on the half-edges the other way, -1 on the boundary; and bits of its three half-edges, whether they are
+    # along a seam of the texture, as both of an edge are
     faces: ndarray
     starts: ndarray  # (nV,) int32: a half-edge that leaves the vertex; on the boundary the one without twin
     holds: ndarray  # (nV,) uint8: FREE; ON_SEAM, it moves along the seam only; FIXED, it never moves; and BORDER
