@@ -3,9 +3,14 @@
 from pathlib import Path
 
 import pytest
+from hypothesis import settings
 
 SHARED = Path(__file__).parents[2] / "shared"
 SOURCE = Path(__file__).parents[1] / "src" / "neusub"
+
+
+settings.register_profile("untimed", deadline=None)  # kernels may have to be compiled, and machines are busy
+settings.load_profile("untimed")
 
 
 def pytest_configure(config: pytest.Config) -> None:

@@ -66,7 +66,7 @@ def test_points_of_fitted_maps_of_removals_return():
 
 
 @given(meshes(is_degenerate=True), st.sampled_from(list(STRATEGIES)), st.floats(0, 1), st.integers(0, 3))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_images_of_random_meshes_are_valid(mesh, strategy, share, levels):
     n_vertices = max(1, round(share * len(mesh.vertices)))
     result = decimate(mesh, n_vertices=n_vertices, strategy=strategy).fitted(levels)
@@ -76,7 +76,7 @@ def test_images_of_random_meshes_are_valid(mesh, strategy, share, levels):
 
 
 @given(meshes(), st.sampled_from(list(STRATEGIES)), st.floats(0, 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_points_of_random_meshes_return(mesh, strategy, share):
     n_vertices = max(1, round(share * len(mesh.vertices)))
     assert_returns(decimate(mesh, n_vertices=n_vertices, strategy=strategy).fitted(), 500)

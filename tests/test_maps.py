@@ -56,7 +56,7 @@ def test_the_target_is_met_exactly_and_the_topology_stays(name):
 
 
 @given(meshes(is_degenerate=True), st.floats(0, 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_random_meshes_keep_their_topology(mesh, share):
     result = decimate_maps(mesh, n_vertices=max(1, round(share * len(mesh.vertices))))
     assert facts(result.coarse) == facts(mesh)
@@ -98,7 +98,7 @@ def test_points_return(name):
 
 
 @given(meshes(), st.floats(0, 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_points_of_random_meshes_return(mesh, share):
     assert_returns(decimate_maps(mesh, n_vertices=max(1, round(share * len(mesh.vertices)))), 500)
 
@@ -158,7 +158,7 @@ def test_the_report_knows_the_removals():
 
 
 @given(meshes(), st.integers(0, 2**32 - 1), st.floats(0, 1))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_an_independent_set_is_independent_and_maximal_among_what_is_accepted(mesh, seed, share):
     n, edges = len(mesh.vertices), mesh.topology.edges
     rng = np.random.default_rng(seed)

@@ -75,7 +75,7 @@ def test_repair_gives_back_the_icosahedron_and_says_how(shape, words):
 
 
 @given(st.lists(st.booleans(), min_size=20, max_size=20), st.booleans())
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_repair_turns_the_minority(flips, is_open):
     vertices, faces = shapes.grid(6, 3) if is_open else shapes.icosahedron()
     flips = np.array(flips)

@@ -101,14 +101,14 @@ def test_points_return_where_a_boundary_vertex_has_faces_all_around_and_more(tur
 
 
 @given(meshes(), st.sampled_from(list(STRATEGIES)), st.floats(0, 1), st.sampled_from([None, 45.0]))
-@settings(max_examples=50, deadline=None)
+@settings(max_examples=50)
 def test_points_of_random_meshes_return(mesh, strategy, share, angle):
     n_vertices = max(1, round(share * len(mesh.vertices)))
     assert_returns(decimate(mesh, n_vertices=n_vertices, strategy=strategy, sharp_boundary_angle=angle), 500)
 
 
 @given(meshes(is_degenerate=True), st.sampled_from(list(STRATEGIES)))
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 def test_images_are_valid_where_faces_have_no_area(mesh, strategy):
     result = decimate(mesh, n_vertices=1, strategy=strategy)
     assert_valid(result.to_fine(*random_points(len(result.faces), 500)), len(mesh.faces))
