@@ -78,7 +78,7 @@ def sources_of(part: str, options: argparse.Namespace) -> list[Path]:
 def trained(part: str, options: argparse.Namespace) -> tuple[TrainingResult, dict]:
     """The paper's training on one part's categories, and what its pairs look like."""
     quick, strategies = options.quick, ("random", "quadric") if options.varied else ("random",)
-    training, validation = ((20, 6) if quick else (200, 20))
+    training, validation = (20, 6) if quick else (200, 20)
     sizes = "" if options.vertices == VERTICES else "-{}-{}".format(*options.vertices)
     folder = options.runs / "table2" / f"{part}{sizes}{'-varied' * options.varied}{'-quick' * quick}"
     sources, reports = sources_of(part, options), []

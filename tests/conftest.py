@@ -8,7 +8,6 @@ from hypothesis import settings
 SHARED = Path(__file__).parents[2] / "shared"
 SOURCE = Path(__file__).parents[1] / "src" / "neusub"
 
-
 settings.register_profile("untimed", deadline=None)  # kernels may have to be compiled, and machines are busy
 settings.load_profile("untimed")
 
