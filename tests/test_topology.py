@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 import shapes
-from neusub.topology import build_topology, connected_components, counting_order, topology_levels
+from neusub.topology import build_topology, connected_components, counting_order, refined_topology, topology_levels
 
 CLOSED = {"tetrahedron": shapes.tetrahedron(), "icosahedron": shapes.icosahedron(), "torus": shapes.torus(7, 5),
           "genus 2": shapes.genus(2)}
@@ -41,6 +41,22 @@ def test_refinement_keeps_eulers_number_and_the_boundary_loops(name):
     finer = build_topology(topology.refined_faces, len(vertices) + len(topology.edges))
     assert euler(finer.faces, finer.n_vertices) == euler(faces, len(vertices))
     assert finer.is_boundary_edge.sum() == 2 * topology.is_boundary_edge.sum()
+
+
+@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize("renumbered", [False, True])
+def test_refined_topology_is_what_is_built_from_the_refined_faces(name, renumbered):
+    vertices, faces = ALL[name]
+    if renumbered:
+        faces = np.random.default_rng(1).permutation(len(vertices))[faces]
+    topology = build_topology(faces, len(vertices))
+    for _ in range(2):
+        built = build_topology(topology.refined_faces, topology.n_vertices + len(topology.edges))
+        topology = refined_topology(topology)
+        assert topology.n_vertices == built.n_vertices
+        for part in ("faces", "edges", "face_edges", "edge_halfedges"):
+            assert np.array_equal(getattr(topology, part), getattr(built, part)), part
+            assert getattr(topology, part).dtype == getattr(built, part).dtype
 
 
 @pytest.mark.parametrize("name", ALL)

@@ -6,7 +6,7 @@ import numpy as np
 from jaxtyping import Bool, Float64, Int64
 from numpy import ndarray
 
-from neusub.topology import Topology, build_topology
+from neusub.topology import Topology, refined_topology
 
 __all__ = ["area_normals", "crease_edges", "crease_mask", "cut_open", "marked_creases", "refine_creases",
            "unit_vectors"]
@@ -65,7 +65,7 @@ def refine_creases(
     """Creases of the next level: both halves of each crease.  `refined`: its topology, where there already is one."""
     n = topology.n_vertices
     if refined is None:
-        refined = build_topology(topology.refined_faces, n + len(topology.edges))
+        refined = refined_topology(topology)
     # An old vertex is joined only to the midpoints of its own edges, so such an edge is half of an old one.
     low, high = refined.edges.T
     is_half = low < n

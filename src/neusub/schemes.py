@@ -30,7 +30,7 @@ from scipy.sparse import csc_array, csr_array
 from neusub.butterfly import butterfly_edges
 from neusub.creases import area_normals, crease_mask, marked_creases, refine_creases, unit_vectors
 from neusub.rings import Around, Block, grouped, sharp_count
-from neusub.topology import Topology, build_topology
+from neusub.topology import Topology, refined_topology
 
 __all__ = [
     "Operator",
@@ -95,7 +95,7 @@ def subdivision_operator(
         matrices.append(subdivision_matrix(topology, scheme, weights=weights, creases=sharp))
         faces.append(topology.refined_faces)
         if level + 1 < levels:
-            coarse, topology = topology, build_topology(faces[-1], matrices[-1].shape[0])
+            coarse, topology = topology, refined_topology(topology)
             sharp = None if sharp is None else refine_creases(coarse, sharp, topology)
     return Operator(tuple(matrices), tuple(faces))
 
@@ -117,15 +117,15 @@ def subdivide_classic(
     Raises: ValueError as `subdivision_matrix` does.
     """
     sharp = marked_creases(mesh.topology, mesh.vertices, creases, crease_angle)
-    meshes = [mesh]
+    meshes, topology = [mesh], mesh.topology
     for level in range(levels + limit_levels):
-        topology = mesh.topology
         matrix = subdivision_matrix(topology, scheme if level < levels else "loop", weights=weights, creases=sharp)
         colors = None if mesh.colors is None else np.clip(matrix @ mesh.colors, 0, 1)
         mesh = mesh.refined(matrix @ mesh.vertices, topology.refined_faces, colors)
         meshes.append(mesh)
-        if sharp is not None and level + 1 < levels + limit_levels:
-            sharp = refine_creases(topology, sharp, mesh.topology)
+        if level + 1 < levels + limit_levels:
+            coarse, topology = topology, refined_topology(topology)
+            sharp = None if sharp is None else refine_creases(coarse, sharp, topology)
     return meshes
 
 
@@ -230,7 +230,7 @@ def loop_limit(
     if (count == 1).any() and (count[topology.edges[sharp]] == 2).any():
         # The edge from a curve to a dart departs from the curve's rule, for one level: the masks hold after it.
         fine = subdivision_matrix(topology, "loop", weights=weights, creases=creases) @ vertices
-        refined = build_topology(topology.refined_faces, len(fine))
+        refined = refined_topology(topology)
         creases = refine_creases(topology, sharp & ~topology.is_boundary_edge, refined)
         limit = _limit(refined, fine, refined.is_boundary_edge | creases, weights)
         return limit[0][: len(vertices)], limit[1][: len(vertices)]

@@ -29,7 +29,8 @@ from jaxtyping import Bool, Int64, Integer
 from numpy import ndarray
 
 __all__ = [
-    "Topology", "build_topology", "connected_components", "counting_order", "refine_corners", "topology_levels",
+    "Topology", "build_topology", "connected_components", "counting_order", "refine_corners", "refined_topology",
+    "topology_levels",
 ]  # fmt: skip
 
 
@@ -100,8 +101,7 @@ def build_topology(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Topology:
     head[:, :2], head[:, 2] = faces[:, 1:], faces[:, 0]
     head = head.reshape(-1)
     low, high = np.minimum(tail, head), np.maximum(tail, head)
-    order = counting_order(high, n_vertices)
-    order = order[counting_order(low[order], n_vertices)]
+    order = lexicographic_order(low, high, n_vertices)
     is_first = np.empty(len(order), dtype=bool)
     is_first[:1] = True
     low_order, high_order = low[order], high[order]
@@ -109,9 +109,67 @@ def build_topology(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Topology:
     face_edges = np.empty(len(order), dtype=np.int64)
     face_edges[order] = np.cumsum(is_first) - 1
     edges = np.stack([low_order[is_first], high_order[is_first]], axis=1)
-    edge_halfedges = np.full((len(edges), 2), -1, dtype=np.int64)
-    edge_halfedges.reshape(-1)[2 * face_edges + (tail > head)] = np.arange(len(order))
-    return Topology(n_vertices, faces, edges, face_edges.reshape(-1, 3), edge_halfedges)
+    return Topology(n_vertices, faces, edges, face_edges.reshape(-1, 3),
+                    halfedges_of(face_edges, tail > head, len(edges)))
+
+
+def refined_topology(topology: Topology) -> Topology:
+    """Of the midpoint refinement: what `build_topology` finds for its faces, in a third of the time.
+
+    Its edges are halves of the old ones, which begin at an old vertex and so come first, and those that cut off the
+    corners of the old faces, from midpoint to midpoint.  Each kind is sorted by itself.
+    """
+    n, n_faces, n_edges = topology.n_vertices, len(topology.faces), len(topology.edges)
+    edges = np.empty((2 * n_edges + 3 * n_faces, 2), dtype=np.int64)
+    halves, cuts = edges[: 2 * n_edges], edges[2 * n_edges :]
+    ends = topology.edges.reshape(-1)
+    order = counting_order(ends, n)
+    halves[:, 0], halves[:, 1] = np.take(ends, order), n + order // 2
+    half = ranks(order)  # of end i of edge k in row 2k + i
+
+    leaves = topology.face_edges  # each corner; and what arrives there
+    arrives = np.empty_like(leaves)
+    arrives[:, 0], arrives[:, 1:] = leaves[:, 2], leaves[:, :2]
+    low, high = np.minimum(leaves, arrives).reshape(-1), np.maximum(leaves, arrives).reshape(-1)
+    order = lexicographic_order(low, high, n_edges)
+    cuts[:, 0], cuts[:, 1] = n + np.take(low, order), n + np.take(high, order)
+    cut = 2 * n_edges + ranks(order).reshape(-1, 3)
+
+    face_edges = np.empty((4, n_faces, 3), dtype=np.int64)  # blocks as in `refine_corners`
+    is_backward = np.empty(face_edges.shape, dtype=bool)  # from the higher to the lower end
+    for i, after in (0, 1), (1, 2), (2, 0):
+        end = 2 * leaves[:, i] + (topology.faces[:, i] > topology.faces[:, after])
+        face_edges[i, :, 0], face_edges[after, :, 2] = np.take(half, end), np.take(half, end ^ 1)
+        face_edges[i, :, 1] = face_edges[3, :, after] = cut[:, i]
+        is_backward[i, :, 0], is_backward[after, :, 2] = False, True
+        is_backward[i, :, 1] = leaves[:, i] > arrives[:, i]
+        is_backward[3, :, after] = ~is_backward[i, :, 1]
+    return Topology(n + n_edges, topology.refined_faces, edges, face_edges.reshape(-1, 3),
+                    halfedges_of(face_edges.reshape(-1), is_backward.reshape(-1), len(edges)))
+
+
+def halfedges_of(
+    edge: Int64[ndarray, " nH"], is_backward: Bool[ndarray, " nH"], n_edges: int
+) -> Int64[ndarray, "nE 2"]:
+    """The half-edges of each edge, of which each half-edge knows its edge and whether it runs max -> min."""
+    halfedges = np.full(2 * n_edges, -1, dtype=np.int64)
+    halfedges[2 * edge + is_backward] = np.arange(len(edge))
+    return halfedges.reshape(-1, 2)
+
+
+def ranks(order: Integer[ndarray, " n"]) -> Int64[ndarray, " n"]:
+    """Where each element stands in an order."""
+    ranks = np.empty(len(order), dtype=np.int64)
+    ranks[order] = np.arange(len(order))
+    return ranks
+
+
+def lexicographic_order(
+    first: Int64[ndarray, " n"], second: Int64[ndarray, " n"], bound: int
+) -> Integer[ndarray, " n"]:
+    """The stable order by the first keys, then by the second, all in 0 .. bound - 1."""
+    order = counting_order(second, bound)
+    return order[counting_order(first[order], bound)]
 
 
 def counting_order(keys: Int64[ndarray, " n"], bound: int) -> Integer[ndarray, " n"]:
@@ -145,12 +203,10 @@ def topology_levels(
     faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int
 ) -> tuple[list[Topology], Int64[ndarray, "nF_fine 3"]]:
     """Topologies of levels 0 .. levels - 1, and the faces of the last level, whose edges nobody needs yet."""
-    topologies = []
+    topologies: list[Topology] = []
     for _ in range(levels):
-        topologies.append(build_topology(faces, n_vertices))
-        faces = topologies[-1].refined_faces
-        n_vertices += len(topologies[-1].edges)
-    return topologies, faces
+        topologies.append(refined_topology(topologies[-1]) if topologies else build_topology(faces, n_vertices))
+    return topologies, topologies[-1].refined_faces if topologies else faces
 
 
 def connected_components(
