@@ -244,3 +244,19 @@ def test_the_loss_of_the_surface_forgives_errors_along_it(files):
         losses[name] = {kind: float(batch.loss(outputs, kind)) for kind in ("distance", "surface")}
     assert losses["across"]["surface"] == pytest.approx(losses["across"]["distance"], rel=1e-3)
     assert losses["along"]["surface"] == pytest.approx(losses["along"]["distance"] / 2, rel=1e-2)
+
+
+def test_errors_can_be_weighted_by_area(files):
+    pairs = load_pairs(files[0][0])[:2]
+    alone, both = ([batch_pairs(group, weighting="areas") for group in groups] for groups in ([[p] for p in pairs],
+                                                                                             [pairs]))
+    for level, weight in enumerate(both[0].weights):
+        assert float(weight.sum()) == pytest.approx(len(pairs) / 3, rel=1e-5)
+        whole, parts = (torch.sort(w.flatten()).values for w in (weight, torch.cat([b.weights[level] for b in alone])))
+        torch.testing.assert_close(whole, parts)
+    faces = pairs[0].topologies[-1].refined_faces
+    a, b, c = pairs[0].targets.astype(float)[faces.T]
+    area = np.linalg.norm(np.cross(b - a, c - a), axis=1) / 2
+    v = int(np.argmax(np.bincount(faces[:, 0])))
+    share = area[(faces == v).any(axis=1)].sum() / area.sum()
+    assert float(alone[0].weights[-1][v]) == pytest.approx(share / 9, rel=1e-4)

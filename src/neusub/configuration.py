@@ -55,12 +55,13 @@ class TrainingConfig:
     shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
     input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
-    bound: Bound = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
+    bound: Bound | None = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
     sharp: float = 0.0  # of the trained model; `network` has that of the training
     settle: float = 0.0  # of the trained model, beyond `levels`
     crisp: bool = False  # of the trained model
     unturned: bool = False  # of the trained model
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
+    weighting: Literal["vertices", "areas"] = "vertices"  # by the target's area around it, or each counts the same
     seed: int = 0
     device: str = "auto"
     precision: str = "32-true"  # as Lightning Fabric names it

@@ -21,7 +21,7 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from jaxtyping import Float, Int64
+from jaxtyping import Float, Float64, Int64
 from numpy import ndarray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
@@ -246,7 +246,7 @@ class Batch:
     positions: Float[torch.Tensor, "nV_0 3"]
     levels: list[LevelFlaps]
     targets: Float[torch.Tensor, "nV_L 3"]
-    weights: list[Float[torch.Tensor, "nV_l 1"]]  # of each vertex's squared error: 1 / (coordinates of its mesh)
+    weights: list[Float[torch.Tensor, "nV_l 1"]]  # of each vertex's error: a third in all for each mesh
     normals: Float[torch.Tensor, "nV_L 3"]  # of the targets, as vertices of the last level
 
     def loss(self, outputs: list[torch.Tensor], kind: str = "squared") -> torch.Tensor:
@@ -271,8 +271,8 @@ class Batch:
 
 
 def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.device | str = "cpu",
-                dtype: torch.dtype = torch.float32) -> Batch:
-    """The disjoint union of pairs of equal depth.
+                dtype: torch.dtype = torch.float32, weighting: str = "vertices") -> Batch:
+    """The disjoint union of pairs of equal depth; input and weighting as in `TrainingConfig`.
 
     The union is refined as one mesh, so its vertices are renumbered at every level; within a mesh their order stays,
     so the targets find their places by a stable sort of the mesh that each vertex belongs to.
@@ -284,7 +284,7 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
     else:
         topologies, _ = topology_levels(np.concatenate([p.faces + s for p, s in zip(pairs, starts)]),
                                         int(starts[-1]), depth)
-    last = topologies[-1].refined_faces
+    faces = [*(topology.faces for topology in topologies), topologies[-1].refined_faces]
     owner = np.repeat(np.arange(len(pairs)), np.diff(starts))
     owners = [owner]
     for topology in topologies:
@@ -293,25 +293,37 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
     targets[np.argsort(owners[-1], kind="stable")] = np.concatenate([pair.targets for pair in pairs])
     weights = []
     for level, owner in enumerate(owners):
-        coordinates = 3.0 * np.array([pair.level_sizes[level] for pair in pairs])
-        weights.append(torch.as_tensor(1 / coordinates[owner][:, None], dtype=dtype, device=device))
+        share = np.ones(len(owner)) if weighting == "vertices" else vertex_areas(targets[: len(owner)], faces[level])
+        share /= 3 * np.bincount(owner, share)[owner]
+        weights.append(torch.as_tensor(share[:, None], dtype=dtype, device=device))
     start = np.concatenate([pair.positions(input) for pair in pairs])
     return Batch(
         torch.as_tensor(start, dtype=dtype, device=device),
         [level_flaps(topology, device) for topology in topologies],
         torch.as_tensor(targets, dtype=dtype, device=device),
         weights,
-        torch.as_tensor(vertex_normals(targets, last), dtype=dtype, device=device),
+        torch.as_tensor(vertex_normals(targets, faces[-1]), dtype=dtype, device=device),
     )
 
 
 def vertex_normals(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float[ndarray, "nV 3"]:
     """Unit normals of the vertices, weighted by area; zero where they cancel."""
-    a, b, c = (positions[column].astype(np.float64) for column in faces.T)
-    normals = np.cross(b - a, c - a)
+    normals = face_vectors(positions, faces)
     total = np.stack([np.bincount(faces.T.reshape(-1), np.tile(normals[:, k], 3), len(positions)) for k in range(3)], 1)
     length = np.linalg.norm(total, axis=1, keepdims=True)
     return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+
+
+def vertex_areas(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float64[ndarray, " nV"]:
+    """Twice the area of the faces at each vertex."""
+    area = np.linalg.norm(face_vectors(positions, faces), axis=1)
+    return np.bincount(faces.T.reshape(-1), np.tile(area, 3), len(positions))
+
+
+def face_vectors(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float64[ndarray, "nF 3"]:
+    """Normals, as long as twice the area."""
+    a, b, c = (positions[column].astype(np.float64) for column in faces.T)
+    return np.cross(b - a, c - a)
 
 
 def scaled(pair: Pair, factor: float) -> Pair:

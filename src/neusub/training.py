@@ -164,7 +164,8 @@ def train(
         raise TrainingError(f"{out}: the run has {run.state.epoch} epochs already, {config.epochs} were asked for.")
     workers = workers_of(config, run.fabric.device)
     batches = _Batches(run.pairs, config, run.fabric.device, workers)
-    validation = [batch_pairs([p], config.input, run.fabric.device) for p in read_pairs(validation_files, config)]
+    validation = [batch_pairs([p], config.input, run.fabric.device, weighting=config.weighting)
+                  for p in read_pairs(validation_files, config)]
     out.mkdir(parents=True, exist_ok=True)
     with _Log(out, run.state.epoch) as log, in_threads(workers) as each:
         while run.state.epoch < config.epochs:
@@ -294,7 +295,8 @@ class _Batches:
         for k in epoch_order(len(self.groups), self.config.seed, epoch):
             parts, group = self.kept.get(k), self.groups[k]
             if parts is None:
-                parts = [batch_pairs([self.pairs[i] for i in part], self.config.input, self.device)
+                parts = [batch_pairs([self.pairs[i] for i in part], self.config.input, self.device,
+                                     weighting=self.config.weighting)
                          for part in np.array_split(group, min(self.workers, len(group)))]
                 if len(self.pairs) <= KEPT_PAIRS:
                     self.kept[k] = parts
