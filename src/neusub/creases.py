@@ -51,7 +51,7 @@ def crease_edges(
 
     A face without area has no normal and makes no crease.
     """
-    normals = unit_vectors(area_normals(topology, vertices))
+    normals = unit_vectors(area_normals(topology.faces, vertices))
     left, right = (topology.edge_halfedges // 3).T
     first, second = normals[left], normals[right]
     # atan2 of sine and cosine stays exact near 0 and 180 degrees, where arccos does not.
@@ -95,9 +95,9 @@ def cut_open(topology: Topology, creases: Bool[ndarray, " nE"]) -> tuple[Int64[n
     return copy[part].reshape(-1, 3), origin
 
 
-def area_normals(topology: Topology, vertices: Float64[ndarray, "nV 3"]) -> Float64[ndarray, "nF 3"]:
+def area_normals(faces: Int64[ndarray, "nF 3"], vertices: Float64[ndarray, "nV 3"]) -> Float64[ndarray, "nF 3"]:
     """Normals as long as twice the area."""
-    a, b, c = (vertices[topology.faces[:, i]] for i in range(3))
+    a, b, c = (vertices[column] for column in faces.T)
     return np.cross(b - a, c - a)
 
 

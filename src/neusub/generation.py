@@ -27,6 +27,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from neusub import __version__
+from neusub.creases import area_normals, unit_vectors
 from neusub.errors import PairFileError
 from neusub.files import replacing
 from neusub.flaps import LevelFlaps, level_flaps
@@ -308,22 +309,15 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
 
 def vertex_normals(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float[ndarray, "nV 3"]:
     """Unit normals of the vertices, weighted by area; zero where they cancel."""
-    normals = face_vectors(positions, faces)
+    normals = area_normals(faces, positions.astype(np.float64))
     total = np.stack([np.bincount(faces.T.reshape(-1), np.tile(normals[:, k], 3), len(positions)) for k in range(3)], 1)
-    length = np.linalg.norm(total, axis=1, keepdims=True)
-    return np.divide(total, length, out=np.zeros_like(total), where=length > 0)
+    return unit_vectors(total)
 
 
 def vertex_areas(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float64[ndarray, " nV"]:
     """Twice the area of the faces at each vertex."""
-    area = np.linalg.norm(face_vectors(positions, faces), axis=1)
+    area = np.linalg.norm(area_normals(faces, positions.astype(np.float64)), axis=1)
     return np.bincount(faces.T.reshape(-1), np.tile(area, 3), len(positions))
-
-
-def face_vectors(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float64[ndarray, "nF 3"]:
-    """Normals, as long as twice the area."""
-    a, b, c = (positions[column].astype(np.float64) for column in faces.T)
-    return np.cross(b - a, c - a)
 
 
 def scaled(pair: Pair, factor: float) -> Pair:

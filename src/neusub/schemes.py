@@ -261,7 +261,7 @@ def _limit(
         np.add.at(normals, vertex, side)
     normals = unit_vectors(normals)
     flat = np.zeros_like(normals)
-    np.add.at(flat, topology.faces.reshape(-1), np.repeat(area_normals(topology, vertices), 3, axis=0))
+    np.add.at(flat, topology.faces.reshape(-1), np.repeat(area_normals(topology.faces, vertices), 3, axis=0))
     return positions, np.where(normals.any(axis=1, keepdims=True), normals, unit_vectors(flat))
 
 
