@@ -104,6 +104,7 @@ def train_command(
     levels: int | None = None,
     input: Literal["on_surface", "decimated"] | None = None,
     loss: Literal["squared", "distance", "surface"] | None = None,
+    weighting: Literal["vertices", "areas"] | None = None,
     seed: int | None = None,
     device: str | None = None,
     threads: int | None = None,
@@ -127,13 +128,14 @@ def train_command(
         input: Where the coarse vertices lie.
         loss: Squared errors as in the paper; distances, which a few bad targets do not carry; or distances to the
             surface, with less weight along it.
+        weighting: Each vertex's error counts the same, or by the area around it.
         seed: Of weights and order.
         device: auto, cpu, cuda, ...
         threads: CPU threads.
         resume: Go on with the run in OUT.
     """
     given = {"epochs": epochs, "cycles": cycles, "batch": batch, "learning_rate": learning_rate, "levels": levels,
-             "input": input, "loss": loss, "seed": seed, "device": device, "threads": threads}
+             "input": input, "loss": loss, "weighting": weighting, "seed": seed, "device": device, "threads": threads}
 
     def work(_: Path) -> list[str]:
         from neusub.generation import pair_files
