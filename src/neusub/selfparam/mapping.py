@@ -75,14 +75,20 @@ def finished(charts: Charts) -> Charts:
     Consumers are written at the end, chart by chart: in the decimation they would be two places far away for each face.
     Views, as copying a large map would take a twentieth of its making.
     """
+    note_consumers(charts)
     n_charts, n_versions = charts.used
     n_uv, n_before, _ = charts.starts[n_charts]
-    charts.consumed_by[charts.old[:n_before]] = np.repeat(
-        np.arange(n_charts, dtype=np.int32), np.diff(charts.starts[: n_charts + 1, BEFORE]))
-    charts.consumed_at[charts.old[:n_before]] = np.arange(n_before, dtype=np.int32)
     n_after = n_versions - charts.starts[0, MADE]
     lengths = (n_charts + 1, n_uv, n_before, n_before, n_after, n_versions, n_versions, n_versions, 2)
     return Charts(*(array[:n] for array, n in zip(charts, lengths)))
+
+
+@njit(**COMPILED)
+def note_consumers(charts):
+    for chart in range(charts.used[0]):
+        for row in range(charts.starts[chart, BEFORE], charts.starts[chart + 1, BEFORE]):
+            version = charts.old[row]
+            charts.consumed_by[version], charts.consumed_at[version] = chart, row
 
 
 class Step(NamedTuple):
