@@ -175,7 +175,7 @@ def main() -> None:
     parser.add_argument("--vertices", type=fewest_and_most, default=VERTICES, metavar="FEWEST:MOST",
                         help="of the training's coarse meshes; 150:300")
     parser.add_argument("--varied", action="store_true", help="stretched and bent copies, two strategies")
-    parser.add_argument("--weighting", choices=("vertices", "areas"), default="vertices")
+    parser.add_argument("--weighting", choices=("vertices", "areas"), default="vertices", help="of errors in the loss")
     parser.add_argument("--quick", action="store_true", help="20 pairs, 5 epochs, one pose a category; not written")
     options = parser.parse_args()
     if options.quick:
