@@ -81,18 +81,24 @@ def architectures() -> None:
           f"{1e9 * cost['default']:.0f} ns: ratio {cost['default'] / cost['paper']:.2f}")
 
 
-def training() -> None:
-    """Epochs of the paper's shape: 200 meshes of 590 faces to learn from, 10 to validate.  The first one, in which
-    kernels may be compiled, does not count."""
+def pairs_of(levels: int) -> list[Pair]:
+    """Ten pairs of 590 faces whose targets are midpoints."""
     pairs = []
     for _ in range(10):
         mesh = torus(59, 5)
-        topologies, _ = topology_levels(mesh.faces, len(mesh.vertices), 2)
+        topologies, _ = topology_levels(mesh.faces, len(mesh.vertices), levels)
         sizes = (len(mesh.vertices), *(t.n_vertices + len(t.edges) for t in topologies))
         vertices = mesh.vertices
         for topology in topologies:
             vertices = np.concatenate([vertices, vertices[topology.edges].mean(axis=1)])
         pairs.append(Pair(mesh.faces, (vertices / 6).astype(np.float32), sizes))
+    return pairs
+
+
+def training() -> None:
+    """Epochs of the paper's shape: 200 meshes of 590 faces to learn from, 10 to validate.  The first one, in which
+    kernels may be compiled, does not count."""
+    pairs = pairs_of(2)
     with tempfile.TemporaryDirectory() as folder:
         files = [Path(folder) / "train.safetensors", Path(folder) / "validation.safetensors"]
         save_pairs(pairs * 20, files[0], {})

@@ -12,8 +12,10 @@ from safetensors.torch import load_file, save_file
 import shapes
 from neusub.configuration import Architecture, TrainingConfig
 from neusub.errors import PairFileError, TrainingError
-from neusub.generation import Pair, batch_pairs, load_pairs, save_pairs, shortened
+from neusub.flaps import FlapGroups, LevelFlaps
+from neusub.generation import Batch, Pair, batch_pairs, load_pairs, save_pairs, shortened
 from neusub.mesh import Mesh
+from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
@@ -260,3 +262,30 @@ def test_errors_can_be_weighted_by_area(files):
     v = int(np.argmax(np.bincount(faces[:, 0])))
     share = area[(faces == v).any(axis=1)].sum() / area.sum()
     assert float(alone[0].weights[-1][v]) == pytest.approx(share / 9, rel=1e-4)
+
+
+def without_numbers(batch: Batch) -> Batch:
+    """On torch's device meta, where every question about a value raises, as it does while a GPU's work is recorded."""
+    def bare(tensor):
+        return None if tensor is None else tensor.to("meta")
+
+    def groups(known: FlapGroups) -> FlapGroups:
+        made = FlapGroups(bare(known.corners), bare(known.missing), bare(known.offsets))
+        for name in ("slots", "readers", "ones", "fours", "owner"):  # made in a first run
+            value = getattr(known, name)
+            made.__dict__[name] = tuple(map(bare, value)) if isinstance(value, tuple) else bare(value)
+        return made
+
+    levels = [LevelFlaps(groups(level.by_vertex), groups(level.by_edge), bare(level.edges), level.topology)
+              for level in batch.levels]
+    return Batch(bare(batch.positions), levels, bare(batch.targets), [bare(w) for w in batch.weights],
+                 bare(batch.normals))
+
+
+@pytest.mark.parametrize("preset", ["paper", "default"])
+def test_a_step_asks_for_no_value(files, preset):
+    batch = without_numbers(batch_pairs(load_pairs(files[0][0])))
+    network = NeuralSubdivision(PRESETS[preset].network).to("meta")
+    loss = batch.loss(network(batch.positions, batch.levels), PRESETS[preset].loss)
+    gradients = torch.autograd.grad(loss, list(network.parameters()))
+    assert [g.shape for g in gradients] == [w.shape for w in network.parameters()]

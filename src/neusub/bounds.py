@@ -16,7 +16,7 @@ from torch import Tensor
 from neusub.compilation import announce
 from neusub.configuration import Architecture, Bound
 from neusub.crisp import SHARP, Planes, held, in_planes, surely_sharp
-from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, means_of_ends, pool, worth_kernels
+from neusub.flaps import CHUNK, FlapGroups, LevelFlaps, by_columns, extremes, means_of_ends, pool, worth_kernels
 from neusub.frames import CANCELLED, cross, edge_vectors, local_frames, sizes, squared_lengths, turn_sums, turns
 
 __all__ = ["Measures", "area_normals", "around_edges", "around_vertices", "measured", "moved_back", "restrained",
@@ -48,10 +48,8 @@ def measured(
     doubled = cross(edges[:1], edges[1:]).square().sum(1)  # areas, squared
     altitude = (doubled / longest.clamp(min=torch.finfo(longest.dtype).tiny)).amin(0)
 
-    def of_groups(values: Tensor, reduction: str) -> Tensor:
-        return torch.segment_reduce(values, reduction, offsets=groups.offsets)
-
-    return Measures(of_groups(height, "max"), of_groups(squared.amin(0), "min"), of_groups(altitude, "min"),
+    return Measures(extremes(groups, height, "max"), extremes(groups, squared.amin(0), "min"),
+                    extremes(groups, altitude, "min"),
                     means_of(groups, sizes(squared)), turn_sums(groups, edges, axes) if turning else None)
 
 
@@ -78,7 +76,7 @@ def around_vertices(
 
     on_edge, at_corner = free(torch.maximum(third, bend / 2), 2 * second), free(fourth, 3 * third)  # of equal s
     if groups.missing is not None:
-        border = torch.segment_reduce(groups.missing.any(0).to(mean.dtype), "max", offsets=groups.offsets) > 0
+        border = extremes(groups, groups.missing.any(0).to(mean.dtype), "max") > 0
         on_edge = torch.where(border, free(second, mean * count), on_edge)
     inside = 1 - held(mean, sharp)
     return torch.stack([measures.height, on_edge, at_corner, inside, torch.minimum(on_edge, at_corner)]).T
@@ -193,7 +191,7 @@ def settled(
         if part.missing is not None:
             along = part.missing.any(0)  # two half-flaps of each boundary vertex
             curve = pool(part, edges[0].T * along[:, None]) / 2
-            boundary = torch.segment_reduce(along.to(before.dtype), "max", offsets=part.offsets) > 0
+            boundary = extremes(part, along.to(before.dtype), "max") > 0
             move = torch.where(boundary[:, None], curve / 4, move)
             heights = torch.maximum(heights, curve.square().sum(1) / measures.size)
         moves.append(move)

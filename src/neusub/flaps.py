@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Literal
 
 import numpy as np
 import torch
@@ -19,8 +20,8 @@ from torch.nn.functional import embedding_bag
 from neusub.compilation import ENOUGH
 from neusub.topology import Topology, counting_order
 
-__all__ = ["FlapGroups", "LevelFlaps", "by_columns", "gather_corners", "level_flaps", "means_of_ends", "pool",
-           "sum_slots", "worth_kernels"]
+__all__ = ["FlapGroups", "LevelFlaps", "by_columns", "extremes", "gather_corners", "level_flaps", "means_of_ends",
+           "pool", "sum_slots", "worth_kernels"]
 
 CHUNK = 1 << 20  # numbers of one layer at a time without gradients: they stay in the cache
 
@@ -41,6 +42,9 @@ class FlapGroups:
     def chunks(self, width: int = 32) -> Iterator[FlapGroups]:
         """The groups in runs of half-flaps whose layers of that width have about CHUNK numbers."""
         rows_at_once = CHUNK // width
+        if len(self.corners) <= rows_at_once:
+            yield self
+            return
         last = len(self.offsets) - 1
         a = 0
         while a < last:
@@ -170,6 +174,11 @@ def pool(groups: FlapGroups, values: Float[Tensor, "n c"]) -> Float[Tensor, "m c
     if not values.requires_grad:
         return embedding_bag(rows, values, groups.offsets, mode="sum", include_last_offset=True)
     return _SumRows.apply(values, rows, groups.offsets, groups.owner, groups.ones[: len(values) + 1])
+
+
+def extremes(groups: FlapGroups, values: Float[Tensor, " n"], reduction: Literal["min", "max"]) -> Float[Tensor, " m"]:
+    """The least or the largest of each group."""
+    return torch.segment_reduce(values, reduction, offsets=groups.offsets, unsafe=True)  # safe would wait for a GPU
 
 
 def means_of_ends(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Tensor, "nE c"]:

@@ -13,8 +13,9 @@ from torch import Tensor
 from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
 __all__ = [
-    "CANCELLED", "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "local_frames", "rounding",
-    "sizes", "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals", "vertex_turns",
+    "CANCELLED", "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "known_true",
+    "local_frames", "rounding", "sizes", "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals",
+    "vertex_turns",
 ]
 
 TURNS = 4  # numbers of `vertex_turns`
@@ -24,6 +25,12 @@ CANCELLED = 1e-4  # in `turns`, a polynomial this small beside the power of the 
 def rounding(limit: torch.finfo) -> float:
     """The square of a length that may be nothing but rounding errors of numbers of size 1."""
     return (16 * limit.eps) ** 2
+
+
+def known_true(conditions: Tensor) -> bool:
+    """Whether all are true; no, where that is not known without waiting for a GPU, which takes longer than going on as
+    if some were not, and is impossible in a recording (`recording.py`)."""
+    return conditions.device.type == "cpu" and bool(conditions.all())
 
 
 def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor, Bool[Tensor, "*b 1 n"]]:
@@ -62,7 +69,7 @@ def local_frames(edges: Float[Tensor, "3 3 n"]) -> tuple[Float[Tensor, "3 3 n"],
     normals = cross(torch.stack([e1, e3]), torch.stack([e2, e1]))
     normals, has_normal = unit(normals, lengths[:1] * lengths[1:])
     z, has_both = unit(normals.sum(0), 1.0)
-    if not has_both.all():
+    if not known_true(has_both):
         z = torch.where(has_both, z, torch.where(has_normal[0], normals[0], normals[1]))
     return torch.stack([x, cross(z, x), z]), (has_edge & has_normal.any(0))[0]
 

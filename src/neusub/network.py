@@ -42,6 +42,7 @@ from neusub.frames import (
     differential_coordinates,
     edge_vectors,
     in_frames,
+    known_true,
     local_frames,
     sizes,
     squared_lengths,
@@ -153,7 +154,7 @@ def said_of_part(
     hidden = linear(activate(hidden, inplace=spare), weights.hidden, weights.hidden_bias)
     hidden = activate(hidden, inplace=spare)
     count = groups.offsets.diff().to(hidden.dtype)[:, None]
-    if not defined.all():  # half-flaps without a frame are left out of the mean
+    if not known_true(defined):  # half-flaps without a frame are left out of the mean
         hidden = hidden * defined[:, None]
         axes = torch.where(defined, axes, 0)
         count = pool(groups, defined[:, None].to(hidden.dtype)).clamp(min=1)

@@ -31,6 +31,7 @@ from neusub.errors import PairFileError, TrainingError
 from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, scaled, shortened
 from neusub.network import NeuralSubdivision
+from neusub.recording import Recorder
 from neusub.subdivider import Subdivider, resolve_device
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "mean_coarse_edge", "set_rate", "train"]
@@ -74,6 +75,7 @@ class _Run:
     optimizer: Any
     best: dict[str, Tensor]
     state: _State
+    recorder: Recorder | None = None  # on a GPU
 
     @classmethod
     def begin(cls, train_files: Sequence[str | Path], validation_files: Sequence[str | Path], config: TrainingConfig):
@@ -94,14 +96,18 @@ class _Run:
         network = NeuralSubdivision(config.network)
         adam = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
         model, optimizer = fabric.setup(network, adam)
-        return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State())
+        recorder = Recorder(fabric.device) if recordable(config, fabric.device, len(pairs)) else None
+        return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State(), recorder)
 
     def epoch(self, batches: _Batches, validation: list[Batch], each: Map) -> tuple[float, float]:
         """One epoch; its training and its validation loss, which is the training loss where nothing is held out."""
         began = time.perf_counter()
         set_rate(self.optimizer, self.config, self.state.epoch)
-        training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch, each)
-        loss = validate(self.model.module, validation, self.config.loss, each) if validation else training_loss
+        training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch, each,
+                                  self.recorder)
+        loss = training_loss
+        if validation:
+            loss = validate(self.model.module, validation, self.config.loss, each, self.recorder)
         if not np.isfinite(training_loss + loss):
             raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Train in another folder at "
                                 f"a learning rate below {self.config.learning_rate}, or look for broken pairs.")
@@ -224,43 +230,60 @@ def in_threads(count: int) -> Iterator[Map]:
         torch.set_num_threads(threads)
 
 
-def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int, each: Map) -> float:
+def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int, each: Map, recorder: Recorder | None) -> float:
     """One pass over the training pairs; the mean loss of a mesh, over the levels that its step went to."""
     weights = list(model.parameters())
     total, count = torch.zeros((), device=fabric.device, dtype=torch.float64), 0
+    if recorder:  # recordings leave gradients in the same place
+        for weight in weights:
+            weight.grad = torch.zeros_like(weight) if weight.grad is None else weight.grad
 
     def loss_of(part: Batch, depth: int, meshes: int) -> Tensor:
         with fabric.autocast():  # the module itself: the wrapper would copy the half-flaps, to convert them
             outputs = model.module(part.positions, part.levels[:depth])
         return part.loss(outputs, batches.config.loss) / meshes
 
-    def with_gradients(part: Batch, depth: int, meshes: int) -> tuple[Tensor, tuple[Tensor, ...]]:
+    def with_gradients(part: Batch, depth: int, meshes: int) -> tuple[Tensor, ...]:
         loss = loss_of(part, depth, meshes)
-        return loss.detach(), torch.autograd.grad(loss, weights)
+        return loss.detach(), *torch.autograd.grad(loss, weights)
 
-    for parts, meshes, depth in batches.epoch(epoch):
-        optimizer.zero_grad(set_to_none=True)
-        if len(parts) == 1:
-            loss = loss_of(parts[0], depth, meshes)
-            fabric.backward(loss)
+    for number, parts, meshes, depth in batches.epoch(epoch):
+        if recorder:
+            loss = recorder.run((number, depth), partial(with_gradients, parts[0], depth, meshes),
+                                [recorder.loss, *(weight.grad for weight in weights)])
         else:
-            losses, gradients = zip(*each(partial(with_gradients, depth=depth, meshes=meshes), parts))
-            loss = torch.stack(losses).sum()
-            for weight, shares in zip(weights, zip(*gradients)):
-                weight.grad = sum(shares[1:], start=shares[0])
+            optimizer.zero_grad(set_to_none=True)
+            if len(parts) == 1:
+                loss = loss_of(parts[0], depth, meshes)
+                fabric.backward(loss)
+            else:
+                losses, *gradients = zip(*each(partial(with_gradients, depth=depth, meshes=meshes), parts))
+                loss = torch.stack(losses).sum()
+                for weight, shares in zip(weights, gradients):
+                    weight.grad = sum(shares[1:], start=shares[0])
         optimizer.step()
         total += loss.detach() * meshes
         count += meshes
     return float(total) / count
 
 
-def validate(model, batches: list[Batch], loss: str = "squared", each: Map = map) -> float:
-    """Mean over the meshes of the loss of one."""
-    def loss_of(batch: Batch) -> float:
-        with torch.no_grad():
-            return float(batch.loss(model(batch.positions, batch.levels), loss))
+def recordable(config: TrainingConfig, device: torch.device, pairs: int) -> bool:
+    """Whether steps can be recorded: on a CUDA GPU, of batches that are kept, and not in mixed precision, where what
+    gradients are scaled by depends on them."""
+    return device.type == "cuda" and config.precision == "32-true" and pairs <= KEPT_PAIRS
 
-    return float(np.mean(list(each(loss_of, batches))))
+
+def validate(model, batches: list[Batch], loss: str = "squared", each: Map = map,
+             recorder: Recorder | None = None) -> float:
+    """Mean over the meshes of the loss of one."""
+    def loss_of(number: int, batch: Batch) -> Tensor:
+        def work() -> list[Tensor]:
+            return [batch.loss(model(batch.positions, batch.levels), loss)]
+
+        with torch.no_grad():
+            return recorder.run(number, work, [recorder.loss]).clone() if recorder else work()[0]
+
+    return float(np.mean([float(x) for x in each(loss_of, range(len(batches)), batches)]))
 
 
 def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
@@ -289,8 +312,8 @@ class _Batches:
                        for alike in (order[depths[order] == depth],) for i in range(0, len(alike), config.batch)]
         self.kept: dict[int, list[Batch]] = {}
 
-    def epoch(self, epoch: int) -> Iterator[tuple[list[Batch], int, int]]:
-        """The parts of each batch, its number of meshes, and to which level its step goes."""
+    def epoch(self, epoch: int) -> Iterator[tuple[int, list[Batch], int, int]]:
+        """Of each batch its number, its parts, its number of meshes, and to which level its step goes."""
         stops = np.random.default_rng([self.config.seed, epoch, 1]).random(len(self.groups)) < self.config.shallow
         for k in epoch_order(len(self.groups), self.config.seed, epoch):
             parts, group = self.kept.get(k), self.groups[k]
@@ -300,7 +323,7 @@ class _Batches:
                          for part in np.array_split(group, min(self.workers, len(group)))]
                 if len(self.pairs) <= KEPT_PAIRS:
                     self.kept[k] = parts
-            yield parts, len(group), 1 if stops[k] else len(parts[0].levels)
+            yield int(k), parts, len(group), 1 if stops[k] else len(parts[0].levels)
 
 
 # --- checkpoints and logs ----------------------------------------------------------------------------------------

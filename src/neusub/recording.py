@@ -1,0 +1,61 @@
+"""Work on a GPU, recorded once and replayed.
+
+A training step is some two thousand kernels on a few thousand half-flaps each.  To launch them one by one from Python
+takes several times longer than to run them; a CUDA graph launches all at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable, Iterable, Sequence
+
+import torch
+from torch import Tensor
+
+__all__ = ["Recorder"]
+
+
+class Recorder:
+    """CUDA graphs of pieces of work that come again and again, each with a key.
+
+    Work always reads and writes the same tensors, and never waits for the GPU (`frames.known_true`).  All graphs share
+    one pool of memory, for none leaves anything there that another could overwrite: results are copied out.
+    """
+
+    def __init__(self, device: torch.device):
+        self.stream, self.pool = torch.cuda.Stream(device), torch.cuda.graph_pool_handle()
+        self.graphs: dict[Hashable, torch.cuda.CUDAGraph | None] = {}
+        self.loss = torch.zeros((), device=device)  # where works may leave theirs
+
+    def run(self, key: Hashable, work: Callable[[], Iterable[Tensor]], results: Sequence[Tensor]) -> Tensor:
+        """Bring what `work` gives into `results`, whose first it returns.
+
+        At first as it is, for what is made and kept on the way (`flaps.py`) must not be part of a recording; the second
+        time it is recorded, from then on replayed.
+        """
+        def copied() -> None:
+            for result, value in zip(results, work(), strict=True):
+                result.copy_(value)
+
+        current = torch.cuda.current_stream(self.stream.device)
+        self.stream.wait_stream(current)
+        with torch.cuda.stream(self.stream):
+            if key not in self.graphs:
+                self.graphs[key] = None
+                copied()
+            else:
+                graph = self.graphs[key]
+                if graph is None:
+                    graph = self.graphs[key] = self._recorded(copied)
+                graph.replay()
+        current.wait_stream(self.stream)
+        return results[0]
+
+    def _recorded(self, work: Callable[[], None]) -> torch.cuda.CUDAGraph:
+        """Without torch.cuda.graph, which would empty all caches before each of some thousand recordings."""
+        graph = torch.cuda.CUDAGraph()
+        graph.capture_begin(pool=self.pool, capture_error_mode="thread_local")
+        try:
+            work()
+        finally:
+            graph.capture_end()
+        return graph
