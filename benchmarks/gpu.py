@@ -1,7 +1,8 @@
 """What a CUDA GPU gains: inference, and epochs with each step recorded as a CUDA graph, beside launching it kernel by
 kernel and beside the CPU's threads.
 
-Busy: the share of the time in which a kernel ran, as the driver counts it (with the package nvidia-ml-py).
+Busy: the share of the time in which a kernel ran, as the driver counts it (with the package nvidia-ml-py), over the
+last epochs.
 """
 
 from __future__ import annotations
@@ -37,10 +38,10 @@ def inference(large: bool) -> None:
 
 
 class Busy:
-    """How busy the GPU is while the block runs: percent, the mean of what the driver says ten times a second."""
+    """Ten times a second, from when the block begins: the time, and how busy the driver says that the GPU is."""
 
-    def __enter__(self):
-        self.seen: list[int] = []
+    def __enter__(self) -> Busy:
+        self.seen: list[tuple[float, int]] = []
         self.done = threading.Event()
         self.thread = threading.Thread(target=self.watch)
         self.thread.start()
@@ -49,37 +50,37 @@ class Busy:
     def watch(self) -> None:
         while not self.done.wait(0.1):
             with suppress(ModuleNotFoundError, RuntimeError):
-                self.seen.append(torch.cuda.utilization())
+                self.seen.append((time.perf_counter(), torch.cuda.utilization()))
 
     def __exit__(self, *_) -> None:
         self.done.set()
         self.thread.join()
 
-    def __str__(self) -> str:
-        return f"busy {np.mean(self.seen):.0f} %" if self.seen else "busy: not known"
+    def since(self, start: float) -> str:
+        shares = [share for moment, share in self.seen if moment > start]
+        return f"busy {np.mean(shares):.0f} %" if shares else "busy: not known"
 
 
 def training(preset: str, folder: Path) -> None:
-    """An epoch of 100 meshes of 590 faces, the least after those in which kernels are compiled and steps recorded."""
-    pairs = pairs_of(PRESETS[preset].levels)
-    save_pairs(pairs * 10, folder / f"{preset}.safetensors", {})
+    """Epochs of 100 meshes of 590 faces; the least counts.  In the first, kernels are compiled and steps recorded."""
+    file = folder / f"{preset}.safetensors"
+    save_pairs(pairs_of(PRESETS[preset].levels) * 10, file, {})
     seconds, busy = {}, ""
     for name, device, records, epochs in (("CPU", "cpu", False, 2), ("GPU", "cuda", False, 3),
-                                          ("GPU, recorded", "cuda", True, 14)):
+                                          ("recorded", "cuda", True, 24)):
         neusub.training.recordable = recordable if records else lambda *_: False
         config = replace(PRESETS[preset], epochs=epochs, cycles=1, device=device)
         marks: list[float] = []
-        torch.cuda.reset_peak_memory_stats()
         with Busy() as watch:
-            train([folder / f"{preset}.safetensors"], [], folder / f"{preset}-{name}", config,
+            train([file], [], folder / f"{preset}-{name}", config,
                   on_epoch=lambda _, marks=marks: marks.append(time.perf_counter()))
-        seconds[name] = min(np.diff(marks))
-        busy = str(watch)
+        seconds[name], busy = min(np.diff(marks)), watch.since(marks[-10:][0])
         print(f"  {name}: epochs " + " ".join(f"{t:.2f}" for t in np.diff(marks)) + " s", flush=True)
     cpu, direct, recorded = seconds.values()
-    print(f"epoch of 100 meshes, preset {preset}: CPU, {torch.get_num_threads()} thread(s), {cpu:.2f} s; GPU {direct:.2f} "
-          f"s; GPU, recorded {recorded:.3f} s, {busy}, {torch.cuda.max_memory_reserved() / 2**30:.2f} GiB; ratio to the "
-          f"CPU {cpu / recorded:.1f}, to the GPU without {direct / recorded:.1f}", flush=True)
+    memory = f"{torch.cuda.max_memory_reserved() / 2**30:.1f} GiB"
+    print(f"epoch of 100 meshes, preset {preset}: CPU, {torch.get_num_threads()} thread(s), {cpu:.2f} s; GPU "
+          f"{direct:.2f} s; recorded {recorded:.3f} s, {busy}, {memory}; ratio to the CPU {cpu / recorded:.1f}, to the "
+          f"GPU without {direct / recorded:.1f}", flush=True)
 
 
 if __name__ == "__main__":
