@@ -13,14 +13,23 @@ import neusub
 import shapes
 from neusub import PRESETS, Subdivider
 from neusub.flaps import level_flaps
+from neusub.generation import save_pairs
 from neusub.subdivider import model_names
 from neusub.topology import topology_levels
 from neusub.training import train
 from test_network import GOLDEN_FILES, reference_network
-from test_training import files  # noqa: F401 (a fixture)
+from test_training import loop_pair
 
 if not torch.cuda.is_available():
     pytest.skip("no CUDA GPU: what one computes is not compared with the CPU", allow_module_level=True)
+
+
+@pytest.fixture
+def files(tmp_path):
+    pairs = [loop_pair(*shape) for shape in (shapes.torus(6, 5), shapes.grid(), shapes.icosahedron(), shapes.cone())]
+    save_pairs(pairs, tmp_path / "train.safetensors", {})
+    save_pairs(pairs[:2], tmp_path / "validation.safetensors", {})
+    return [tmp_path / "train.safetensors"], [tmp_path / "validation.safetensors"]
 
 
 @pytest.mark.parametrize("shape", [shapes.torus(), shapes.grid(), shapes.cube(), shapes.genus(2), shapes.cone(),
@@ -51,7 +60,7 @@ def test_outputs_equal_the_reference_at_every_level(golden, name, dtype, suffix,
     {"batch": 1},
     {"batch": 3, "network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5, "learning_rate": 1e-3},
 ])
-def test_a_recorded_training_equals_the_cpus(files, tmp_path, options):  # noqa: F811
+def test_a_recorded_training_equals_the_cpus(files, tmp_path, options):
     rows = {}
     for device in ("cuda", "cpu"):
         rows[device] = []
@@ -63,7 +72,7 @@ def test_a_recorded_training_equals_the_cpus(files, tmp_path, options):  # noqa:
     assert rows["cuda"][0]["validation_loss"] == pytest.approx(rows["cpu"][0]["validation_loss"], rel=1e-4)
 
 
-def test_a_recorded_training_goes_on_where_it_was(files, tmp_path):  # noqa: F811
+def test_a_recorded_training_goes_on_where_it_was(files, tmp_path):
     config = replace(PRESETS["paper"], epochs=8, device="cuda", checkpoint_every=1)
     whole = train(*files, tmp_path / "whole", config)
     train(*files, tmp_path / "parts", replace(config, epochs=4))

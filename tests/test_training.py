@@ -8,12 +8,15 @@ import pytest
 import torch
 from safetensors import safe_open
 from safetensors.torch import load_file, save_file
+from torch.utils._python_dispatch import TorchDispatchMode
+from torch.utils._pytree import tree_leaves
 
 import shapes
 from neusub.configuration import Architecture, TrainingConfig
 from neusub.errors import PairFileError, TrainingError
 from neusub.flaps import FlapGroups, LevelFlaps
 from neusub.generation import Batch, Pair, batch_pairs, load_pairs, save_pairs, shortened
+from neusub.layers import columns
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivision_matrix
@@ -264,16 +267,39 @@ def test_errors_can_be_weighted_by_area(files):
     assert float(alone[0].weights[-1][v]) == pytest.approx(share / 9, rel=1e-4)
 
 
+class NothingFromTheHost(TorchDispatchMode):
+    """Raises where a tensor is used that neither was given nor came out of an operation: one made of Python's numbers,
+    which are copied to the device."""
+
+    def __init__(self, given):
+        super().__init__()
+        self.kept, self.known = [], set()
+        self.remember(given)
+
+    def remember(self, values):
+        for storage in (x.untyped_storage() for x in tree_leaves(values) if isinstance(x, torch.Tensor)):
+            self.kept.append(storage)  # or its number would be another's later
+            self.known.add(storage._cdata)
+
+    def __torch_dispatch__(self, operation, types, args=(), kwargs=None):
+        for x in tree_leaves((args, kwargs)):
+            assert not isinstance(x, torch.Tensor) or x.untyped_storage()._cdata in self.known, operation
+        results = operation(*args, **(kwargs or {}))
+        self.remember(results)
+        return results
+
+
 def without_numbers(batch: Batch) -> Batch:
     """On torch's device meta, where every question about a value raises, as it does while a GPU's work is recorded."""
     def bare(tensor):
         return None if tensor is None else tensor.to("meta")
 
     def groups(known: FlapGroups) -> FlapGroups:
-        made = FlapGroups(bare(known.corners), bare(known.missing), bare(known.offsets))
-        for name in ("slots", "readers", "ones", "fours", "owner"):  # made in a first run
-            value = getattr(known, name)
-            made.__dict__[name] = tuple(map(bare, value)) if isinstance(value, tuple) else bare(value)
+        known.complete()
+        values = {name: tuple(map(bare, value)) if isinstance(value, tuple) else bare(value)
+                  for name, value in vars(known).items()}
+        made = FlapGroups(values["corners"], values["missing"], values["offsets"])
+        vars(made).update(values)
         return made
 
     levels = [LevelFlaps(groups(level.by_vertex), groups(level.by_edge), bare(level.edges), level.topology)
@@ -283,9 +309,17 @@ def without_numbers(batch: Batch) -> Batch:
 
 
 @pytest.mark.parametrize("preset", ["paper", "default"])
-def test_a_step_asks_for_no_value(files, preset):
-    batch = without_numbers(batch_pairs(load_pairs(files[0][0])))
+@pytest.mark.parametrize("shape", [shapes.torus(), shapes.grid()])
+def test_a_step_asks_its_device_for_nothing_and_brings_it_nothing(shape, preset):
+    batch = without_numbers(batch_pairs([loop_pair(*shape)]))
     network = NeuralSubdivision(PRESETS[preset].network).to("meta")
-    loss = batch.loss(network(batch.positions, batch.levels), PRESETS[preset].loss)
-    gradients = torch.autograd.grad(loss, list(network.parameters()))
+    columns.cache_clear()
+    given = [batch.positions, batch.targets, batch.normals, batch.weights, list(network.parameters()),
+             [level.edges for level in batch.levels],
+             [list(vars(groups).values()) for level in batch.levels for groups in (level.by_vertex, level.by_edge)]]
+    with NothingFromTheHost(given):
+        loss = batch.loss(network(batch.positions, batch.levels), PRESETS[preset].loss)
+        gradients = torch.autograd.grad(loss, list(network.parameters()))
+        with torch.no_grad():
+            batch.loss(network(batch.positions, batch.levels), PRESETS[preset].loss)
     assert [g.shape for g in gradients] == [w.shape for w in network.parameters()]

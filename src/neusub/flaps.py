@@ -23,7 +23,8 @@ from neusub.topology import Topology, counting_order
 __all__ = ["FlapGroups", "LevelFlaps", "by_columns", "extremes", "gather_corners", "level_flaps", "means_of_ends",
            "pool", "sum_slots", "worth_kernels"]
 
-CHUNK = 1 << 20  # numbers of one layer at a time without gradients: they stay in the cache
+CHUNK = 1 << 20  # numbers of one layer at a time without gradients, on a CPU: they stay in the cache
+GPU_CHUNK = 1 << 26  # a quarter of a gigabyte
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,9 +41,10 @@ class FlapGroups:
         return self.corners * 4 + torch.arange(4, device=self.corners.device)
 
     def chunks(self, width: int = 32) -> Iterator[FlapGroups]:
-        """The groups in runs of half-flaps whose layers of that width have about CHUNK numbers."""
-        rows_at_once = CHUNK // width
-        if len(self.corners) <= rows_at_once:
+        """The groups in runs of half-flaps whose layers of that width have about CHUNK numbers; in a recording
+        (`recording.py`) all at once, for where a run ends is asked of the device."""
+        rows_at_once = (CHUNK if self.corners.device.type == "cpu" else GPU_CHUNK) // width
+        if len(self.corners) <= rows_at_once or torch.cuda.is_current_stream_capturing():
             yield self
             return
         last = len(self.offsets) - 1
@@ -66,6 +68,11 @@ class FlapGroups:
     def largest(self) -> int:
         """Half-flaps of the largest group."""
         return int(self.offsets.diff().max())
+
+    def complete(self) -> None:
+        """Make all that is kept for sums and their gradients, which otherwise is made when first needed."""
+        for name in ("slots", "readers", "ones", "fours", "owner"):
+            getattr(self, name)
 
     # Transposes, for gradients only: which rows read a given vertex, and which group reads a given row.
 

@@ -54,7 +54,7 @@ def edge_vectors(groups: FlapGroups, positions: Float[Tensor, "nV 3"]) -> Float[
     edges = others - origin
     if groups.missing is None:
         return edges
-    reflected = edges[:1] - edges[[2, 1]]
+    reflected = edges[:1] - edges[1:].flip(0)
     return torch.cat([edges[:1], torch.where(groups.missing[:, None], reflected, edges[1:])])
 
 

@@ -17,45 +17,36 @@ __all__ = ["Recorder"]
 class Recorder:
     """CUDA graphs of pieces of work that come again and again, each with a key.
 
-    Work always reads and writes the same tensors, and never waits for the GPU (`frames.known_true`).  All graphs share
-    one pool of memory, for none leaves anything there that another could overwrite: results are copied out.
+    Work always reads and writes the same tensors, makes none that is kept (`FlapGroups.complete`), and never waits for
+    the GPU (`frames.known_true`).  All graphs share one pool of memory, for none leaves anything there that another
+    could overwrite: results are copied out.
     """
 
     def __init__(self, device: torch.device):
         self.stream, self.pool = torch.cuda.Stream(device), torch.cuda.graph_pool_handle()
-        self.graphs: dict[Hashable, torch.cuda.CUDAGraph | None] = {}
+        self.graphs: dict[Hashable, torch.cuda.CUDAGraph] = {}
         self.loss = torch.zeros((), device=device)  # where works may leave theirs
 
     def run(self, key: Hashable, work: Callable[[], Iterable[Tensor]], results: Sequence[Tensor]) -> Tensor:
-        """Bring what `work` gives into `results`, whose first it returns.
-
-        At first as it is, for what is made and kept on the way (`flaps.py`) must not be part of a recording; the second
-        time it is recorded, from then on replayed.
-        """
-        def copied() -> None:
-            for result, value in zip(results, work(), strict=True):
-                result.copy_(value)
-
+        """Bring what `work` gives into `results`, whose first it returns; it is recorded the first time."""
         current = torch.cuda.current_stream(self.stream.device)
         self.stream.wait_stream(current)
         with torch.cuda.stream(self.stream):
+            if not self.graphs:
+                tuple(work())  # libraries allocate what they need on a stream
             if key not in self.graphs:
-                self.graphs[key] = None
-                copied()
-            else:
-                graph = self.graphs[key]
-                if graph is None:
-                    graph = self.graphs[key] = self._recorded(copied)
-                graph.replay()
+                self.graphs[key] = self._recorded(work, results)
+            self.graphs[key].replay()
         current.wait_stream(self.stream)
         return results[0]
 
-    def _recorded(self, work: Callable[[], None]) -> torch.cuda.CUDAGraph:
+    def _recorded(self, work: Callable[[], Iterable[Tensor]], results: Sequence[Tensor]) -> torch.cuda.CUDAGraph:
         """Without torch.cuda.graph, which would empty all caches before each of some thousand recordings."""
         graph = torch.cuda.CUDAGraph()
         graph.capture_begin(pool=self.pool, capture_error_mode="thread_local")
         try:
-            work()
+            for result, value in zip(results, work(), strict=True):
+                result.copy_(value)
         finally:
             graph.capture_end()
         return graph

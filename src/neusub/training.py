@@ -172,6 +172,7 @@ def train(
     batches = _Batches(run.pairs, config, run.fabric.device, workers)
     validation = [batch_pairs([p], config.input, run.fabric.device, weighting=config.weighting)
                   for p in read_pairs(validation_files, config)]
+    complete(validation)
     out.mkdir(parents=True, exist_ok=True)
     with _Log(out, run.state.epoch) as log, in_threads(workers) as each:
         while run.state.epoch < config.epochs:
@@ -189,6 +190,14 @@ def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair
     """The pairs, with at most the trained levels; for a network that knows no scale, each at the same scale."""
     pairs = [shortened(pair, config.levels) for file in files for pair in load_pairs(file)]
     return [scaled(pair, EDGE / mean_coarse_edge([pair])) for pair in pairs] if config.network.relative else pairs
+
+
+def complete(batches: list[Batch]) -> None:
+    """Make what the half-flaps of batches keep, for a recording must find it there."""
+    for batch in batches:
+        for level in batch.levels:
+            level.by_vertex.complete()
+            level.by_edge.complete()
 
 
 def copied(weights: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -323,6 +332,7 @@ class _Batches:
                          for part in np.array_split(group, min(self.workers, len(group)))]
                 if len(self.pairs) <= KEPT_PAIRS:
                     self.kept[k] = parts
+                    complete(parts)
             yield int(k), parts, len(group), 1 if stops[k] else len(parts[0].levels)
 
 
