@@ -43,8 +43,9 @@ class FlapGroups:
     def chunks(self, width: int = 32) -> Iterator[FlapGroups]:
         """The groups in runs of half-flaps whose layers of that width have about CHUNK numbers; in a recording
         (`recording.py`) all at once, for where a run ends is asked of the device."""
-        rows_at_once = (CHUNK if self.corners.device.type == "cpu" else GPU_CHUNK) // width
-        if len(self.corners) <= rows_at_once or torch.cuda.is_current_stream_capturing():
+        on_gpu = self.corners.is_cuda
+        rows_at_once = (GPU_CHUNK if on_gpu else CHUNK) // width
+        if len(self.corners) <= rows_at_once or (on_gpu and torch.cuda.is_current_stream_capturing()):
             yield self
             return
         last = len(self.offsets) - 1
