@@ -194,6 +194,7 @@ def draw(rows: list[dict], decimation: dict) -> Path:
     right.set(xlabel="vertices", ylabel="seconds of one core", title=f"decimation to {COARSE} vertices")
     for axes in (left, right):
         axes.grid(alpha=0.3)
+        axes.margins(y=0.25)  # room for the legend
         axes.legend(fontsize=8)
     path = HERE.parent / "docs" / "reproduction" / "runtime.png"
     figure.savefig(path)
