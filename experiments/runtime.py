@@ -178,7 +178,7 @@ def memory(kind: str, reset: bool = False) -> int:
 def draw(rows: list[dict], decimation: dict) -> Path:
     from matplotlib.figure import Figure
 
-    figure = Figure(figsize=(9, 3.6), dpi=100, layout="constrained")
+    figure = Figure(figsize=(9, 4.4), dpi=100, layout="constrained")
     left, right = figure.subplots(1, 2)
     for name in sorted({key for row in rows for key in row} - {"points"}, key=list(rows[0]).index):
         measured = [(row["points"], row[name]) for row in rows if name in row]
@@ -194,8 +194,7 @@ def draw(rows: list[dict], decimation: dict) -> Path:
     right.set(xlabel="vertices", ylabel="seconds of one core", title=f"decimation to {COARSE} vertices")
     for axes in (left, right):
         axes.grid(alpha=0.3)
-        axes.margins(y=0.25)  # room for the legend
-        axes.legend(fontsize=8)
+        axes.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.2))
     path = HERE.parent / "docs" / "reproduction" / "runtime.png"
     figure.savefig(path)
     return path
