@@ -172,7 +172,7 @@ def train(
     batches = _Batches(run.pairs, config, run.fabric.device, workers)
     validation = [batch_pairs([p], config.input, run.fabric.device, weighting=config.weighting)
                   for p in read_pairs(validation_files, config)]
-    complete(validation)
+    make_recordable(validation)
     out.mkdir(parents=True, exist_ok=True)
     with _Log(out, run.state.epoch) as log, in_threads(workers) as each:
         while run.state.epoch < config.epochs:
@@ -192,12 +192,11 @@ def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair
     return [scaled(pair, EDGE / mean_coarse_edge([pair])) for pair in pairs] if config.network.relative else pairs
 
 
-def complete(batches: list[Batch]) -> None:
-    """Make what the half-flaps of batches keep, for a recording must find it there."""
-    for batch in batches:
-        for level in batch.levels:
-            level.by_vertex.complete()
-            level.by_edge.complete()
+def make_recordable(batches: list[Batch]) -> None:
+    """On a GPU, have half-flaps make all that they keep: a recording must find it there."""
+    for level in (level for batch in batches if batch.positions.is_cuda for level in batch.levels):
+        level.by_vertex.complete()
+        level.by_edge.complete()
 
 
 def copied(weights: dict[str, Tensor]) -> dict[str, Tensor]:
@@ -332,7 +331,7 @@ class _Batches:
                          for part in np.array_split(group, min(self.workers, len(group)))]
                 if len(self.pairs) <= KEPT_PAIRS:
                     self.kept[k] = parts
-                    complete(parts)
+                    make_recordable(parts)
             yield int(k), parts, len(group), 1 if stops[k] else len(parts[0].levels)
 
 
