@@ -22,7 +22,8 @@ from network import best_of, pairs_of, torus
 import neusub.training
 from neusub import PRESETS, Subdivider, train
 from neusub.generation import save_pairs
-from neusub.training import recordable
+
+RECORDABLE = neusub.training.recordable
 
 
 def inference(large: bool) -> None:
@@ -30,6 +31,7 @@ def inference(large: bool) -> None:
         mesh, seconds = torus(n, m), {}
         for device in ("cpu", "cuda"):
             model = Subdivider.load(device=device)
+            torch.cuda.reset_peak_memory_stats()
             model.subdivide(mesh, levels=1)  # compiles
             seconds[device] = best_of(lambda model=model, mesh=mesh: model.subdivide(mesh), repeats)
         print(f"{len(mesh.faces):,} -> {16 * len(mesh.faces):,} faces: CPU, {torch.get_num_threads()} threads, "
@@ -62,15 +64,18 @@ class Busy:
 
 
 def training(preset: str, folder: Path) -> None:
-    """Epochs of 100 meshes of 590 faces; the least counts.  In the first, kernels are compiled and steps recorded."""
+    """Epochs of 100 meshes of 590 faces, every step to the last level; the least but the first counts, in which kernels
+    are compiled and steps recorded."""
     file = folder / f"{preset}.safetensors"
     save_pairs(pairs_of(PRESETS[preset].levels) * 10, file, {})
     seconds, busy = {}, ""
     for name, device, records, epochs in (("CPU", "cpu", False, 2), ("GPU", "cuda", False, 3),
                                           ("recorded", "cuda", True, 24)):
-        neusub.training.recordable = recordable if records else lambda *_: False
-        config = replace(PRESETS[preset], epochs=epochs, cycles=1, device=device)
+        neusub.training.recordable = RECORDABLE if records else lambda *_: False
+        config = replace(PRESETS[preset], epochs=epochs, cycles=1, shallow=0.0, device=device)  # all epochs alike
         marks: list[float] = []
+        torch.cuda.empty_cache()
+        torch.cuda.reset_peak_memory_stats()
         with Busy() as watch:
             train([file], [], folder / f"{preset}-{name}", config,
                   on_epoch=lambda _, marks=marks: marks.append(time.perf_counter()))

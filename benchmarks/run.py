@@ -1,4 +1,5 @@
-"""All benchmarks, one after the other: `make bench`.  Words after the command, such as --large, go to the last two."""
+"""All benchmarks for CPUs, one after the other: `make bench`.  Words after the command, such as --large, go to the last
+two.  `gpu.py` is for a GPU."""
 
 from __future__ import annotations
 

@@ -14,6 +14,7 @@ import shapes
 from neusub import PRESETS, Subdivider
 from neusub.flaps import level_flaps
 from neusub.generation import save_pairs
+from neusub.recording import Recorder
 from neusub.subdivider import model_names
 from neusub.topology import topology_levels
 from neusub.training import train
@@ -60,8 +61,9 @@ def test_outputs_equal_the_reference_at_every_level(golden, name, dtype, suffix,
     {"batch": 1},
     {"batch": 3, "network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5, "learning_rate": 1e-3},
 ])
-def test_a_recorded_training_equals_the_cpus(files, tmp_path, options):
-    rows = {}
+def test_a_recorded_training_equals_the_cpus(files, tmp_path, options, monkeypatch):
+    rows, recorded, record = {}, [], Recorder._recorded
+    monkeypatch.setattr(Recorder, "_recorded", lambda *words: recorded.append(words) or record(*words))
     for device in ("cuda", "cpu"):
         rows[device] = []
         config = replace(PRESETS["paper"], epochs=6, device=device, **options)
@@ -69,6 +71,7 @@ def test_a_recorded_training_equals_the_cpus(files, tmp_path, options):
     for ours, theirs in zip(rows["cuda"], rows["cpu"], strict=True):
         for key in ("training_loss", "validation_loss"):
             assert ours[key] == pytest.approx(theirs[key], rel=0.02)  # rounding grows from step to step
+    assert len(recorded) >= 4  # two batches at least, two held out pairs
     assert rows["cuda"][0]["validation_loss"] == pytest.approx(rows["cpu"][0]["validation_loss"], rel=1e-4)
 
 

@@ -11,6 +11,7 @@ from safetensors.torch import load_file, save_file
 from torch.utils._python_dispatch import TorchDispatchMode
 from torch.utils._pytree import tree_leaves
 
+import neusub.training
 import shapes
 from neusub.configuration import Architecture, TrainingConfig
 from neusub.errors import PairFileError, TrainingError
@@ -22,7 +23,7 @@ from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
-from neusub.training import PRESETS, in_threads, train, workers_of
+from neusub.training import PRESETS, in_threads, recordable, train, validate, workers_of
 from test_network import make_pair
 
 CONFIG = TrainingConfig(epochs=4, checkpoint_every=1, device="cpu")
@@ -165,6 +166,8 @@ def test_a_run_is_not_resumed_with_other_options_or_data(files, tmp_path):
     train(*files, tmp_path / "run", CONFIG)
     with pytest.raises(TrainingError, match="learning_rate"):
         train(*files, tmp_path / "run", replace(CONFIG, learning_rate=1.0), resume=True)
+    with pytest.raises(TrainingError, match="weighting"):
+        train(*files, tmp_path / "run", replace(CONFIG, weighting="areas"), resume=True)
     with pytest.raises(TrainingError, match="other pair files"):
         train(files[1], files[1], tmp_path / "run", CONFIG, resume=True)
 
@@ -265,6 +268,35 @@ def test_errors_can_be_weighted_by_area(files):
     v = int(np.argmax(np.bincount(faces[:, 0])))
     share = area[(faces == v).any(axis=1)].sum() / area.sum()
     assert float(alone[0].weights[-1][v]) == pytest.approx(share / 9, rel=1e-4)
+
+
+@pytest.mark.parametrize("weighting", ["vertices", "areas"])
+def test_training_and_validation_weigh_errors_alike(files, tmp_path, weighting):
+    rows, pairs = [], load_pairs(files[0][0])
+    config = replace(CONFIG, epochs=1, batch=len(pairs), weighting=weighting)
+    result = train(files[0], files[0], tmp_path / "run", config, on_epoch=rows.append)
+    batches = [batch_pairs([pair], weighting=weighting) for pair in pairs]
+    torch.manual_seed(config.seed)
+    assert rows[0]["training_loss"] == pytest.approx(validate(NeuralSubdivision(), batches), rel=1e-4)
+    network = NeuralSubdivision()  # the result's bounds displacements
+    network.load_state_dict(result.model.network.state_dict())
+    assert rows[0]["validation_loss"] == pytest.approx(validate(network, batches), rel=1e-4)
+
+
+@pytest.mark.parametrize("name, value", [("loss", "sqared"), ("weighting", "area")])
+def test_a_misspelt_option_is_named(name, value):
+    with pytest.raises(ValueError, match=f"{name} = '{value}': take one of"):
+        replace(CONFIG, **{name: value})
+
+
+def test_which_trainings_are_recorded():
+    gpu, most = torch.device("cuda"), neusub.training.KEPT_PAIRS
+    assert all(recordable(config, gpu, most) for config in PRESETS.values())
+    assert recordable(replace(CONFIG, precision="32"), gpu, 1)
+    assert not recordable(CONFIG, torch.device("cpu"), 1)
+    assert not recordable(replace(CONFIG, precision="bf16-mixed"), gpu, 1)
+    with pytest.warns(UserWarning, match="not recorded"):
+        assert not recordable(CONFIG, gpu, most + 1)
 
 
 class NothingFromTheHost(TorchDispatchMode):

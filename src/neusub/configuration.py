@@ -78,10 +78,18 @@ class TrainingConfig:
         for name in ("settle", "crisp", "unturned"):
             if getattr(self.network, name):
                 raise ValueError(f"network.{name} = {getattr(self.network, name)}: give the training's own, for use.")
+        for name, known in (("loss", ("squared", "distance", "surface")), ("weighting", ("vertices", "areas"))):
+            if getattr(self, name) not in known:
+                raise ValueError(f"{name} = {getattr(self, name)!r}: take one of {', '.join(known)}.")
         if not 0 <= self.shallow <= 1:
             raise ValueError(f"shallow = {self.shallow}: take a share, 0 to 1.")
         if not self.learning_rate > 0:
             raise ValueError(f"learning_rate = {self.learning_rate}: take a positive number.")
+
+    @property
+    def is_single(self) -> bool:
+        """Whether weights and sums are in single precision; Fabric knows it by two names."""
+        return self.precision in ("32-true", "32")
 
     def for_use(self, levels: int) -> Architecture:
         """The network that comes out of the training; levels: how many it had."""

@@ -186,7 +186,7 @@ def pool(groups: FlapGroups, values: Float[Tensor, "n c"]) -> Float[Tensor, "m c
 
 def extremes(groups: FlapGroups, values: Float[Tensor, " n"], reduction: Literal["min", "max"]) -> Float[Tensor, " m"]:
     """The least or the largest of each group."""
-    return torch.segment_reduce(values, reduction, offsets=groups.offsets, unsafe=True)  # safe would wait for a GPU
+    return torch.segment_reduce(values, reduction, offsets=groups.offsets)
 
 
 def means_of_ends(level: LevelFlaps, values: Float[Tensor, "nV c"]) -> Float[Tensor, "nE c"]:

@@ -1,7 +1,7 @@
 """Work on a GPU, recorded once and replayed.
 
-A training step is some two thousand kernels on a few thousand half-flaps each.  To launch them one by one from Python
-takes several times longer than to run them; a CUDA graph launches all at once.
+A training step is one to four thousand kernels, each on a few thousand half-flaps.  To launch them one by one from
+Python takes several times longer than to run them; a CUDA graph launches all at once.
 """
 
 from __future__ import annotations

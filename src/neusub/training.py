@@ -7,7 +7,6 @@ optimizer's state, so a run that was interrupted and resumed equals one that was
 
 from __future__ import annotations
 
-import csv
 import json
 import time
 import warnings
@@ -30,6 +29,7 @@ from neusub.configuration import FOR_USE, PRESETS, TrainingConfig
 from neusub.errors import PairFileError, TrainingError
 from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, scaled, shortened
+from neusub.logs import TrainingLog
 from neusub.network import NeuralSubdivision
 from neusub.recording import Recorder
 from neusub.subdivider import Subdivider, resolve_device
@@ -38,7 +38,8 @@ __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "mean_c
 
 EDGE = 0.1  # mean coarse edge that pairs are brought to for a network that knows no scale: about the paper's
 Map = Callable[..., Iterable]  # as `map`
-KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each; above, they are prepared when needed
+KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each of two levels, four times that of three on
+# a GPU; above, they are prepared when needed
 
 
 @dataclass(frozen=True)
@@ -174,7 +175,7 @@ def train(
                   for p in read_pairs(validation_files, config)]
     make_recordable(validation)
     out.mkdir(parents=True, exist_ok=True)
-    with _Log(out, run.state.epoch) as log, in_threads(workers) as each:
+    with TrainingLog(out, run.state.epoch) as log, in_threads(workers) as each:
         while run.state.epoch < config.epochs:
             row = log.write(run.state, *run.epoch(batches, validation, each), config.epochs)
             if run.state.epoch % config.checkpoint_every == 0 or run.state.epoch == config.epochs:
@@ -217,7 +218,7 @@ def mean_coarse_edge(pairs: list[Pair]) -> float:
 def workers_of(config: TrainingConfig, device: torch.device) -> int:
     """Threads that share the meshes of a batch.  Most operations on a mesh of some hundred faces are too short to be
     shared themselves."""
-    alone = device.type != "cpu" or config.precision != "32-true"
+    alone = device.type != "cpu" or not config.is_single
     return 1 if alone else min(torch.get_num_threads(), config.batch)
 
 
@@ -276,9 +277,14 @@ def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int, each: Map
 
 
 def recordable(config: TrainingConfig, device: torch.device, pairs: int) -> bool:
-    """Whether steps can be recorded: on a CUDA GPU, of batches that are kept, and not in mixed precision, where what
-    gradients are scaled by depends on them."""
-    return device.type == "cuda" and config.precision == "32-true" and pairs <= KEPT_PAIRS
+    """Whether steps are recorded: on a CUDA GPU, of batches that are kept, in single precision.  (Half of the bits may
+    scale losses by what is found in the gradients, which a recording cannot ask for.)"""
+    if device.type != "cuda" or not config.is_single:
+        return False
+    if pairs > KEPT_PAIRS:
+        warnings.warn(f"{pairs} training pairs: above {KEPT_PAIRS} steps are not recorded as CUDA graphs, and training "
+                      "takes several times as long. Train on fewer.", stacklevel=5)
+    return pairs <= KEPT_PAIRS
 
 
 def validate(model, batches: list[Batch], loss: str = "squared", each: Map = map,
@@ -335,7 +341,7 @@ class _Batches:
             yield int(k), parts, len(group), 1 if stops[k] else len(parts[0].levels)
 
 
-# --- checkpoints and logs ----------------------------------------------------------------------------------------
+# --- checkpoints -------------------------------------------------------------------------------------------------
 
 
 def save_checkpoint(path: Path, run: _Run) -> None:
@@ -382,40 +388,3 @@ def load_checkpoint(path: Path, run: _Run) -> None:
     groups = run.optimizer.state_dict()["param_groups"]
     run.optimizer.load_state_dict({"state": moments, "param_groups": groups})
     run.state = _State(**header["state"])
-
-
-class _Log:
-    """log.csv and TensorBoard events, one row an epoch; rows after the checkpoint that a run resumes from go."""
-
-    columns = ("epoch", "training_loss", "validation_loss", "best_loss", "best_epoch", "seconds", "seconds_left")
-
-    def __init__(self, folder: Path, epoch: int):
-        self.path, self.folder, self.epoch = folder / "log.csv", folder, epoch
-
-    def __enter__(self) -> _Log:
-        from torch.utils.tensorboard import SummaryWriter
-
-        rows = []
-        if self.path.exists() and self.epoch:
-            with self.path.open(newline="") as file:
-                rows = [row for row in csv.DictReader(file) if int(row["epoch"]) <= self.epoch]
-        self.file = self.path.open("w", newline="")
-        self.writer: csv.DictWriter = csv.DictWriter(self.file, self.columns)
-        self.writer.writeheader()
-        self.writer.writerows(rows)
-        self.board = SummaryWriter(str(self.folder), purge_step=self.epoch + 1)
-        return self
-
-    def write(self, state: _State, training_loss: float, loss: float, epochs: int) -> dict:
-        left = state.seconds / state.epoch * (epochs - state.epoch)
-        row = dict(zip(self.columns, (state.epoch, training_loss, loss, state.best_loss, state.best_epoch,
-                                      round(state.seconds, 3), round(left, 1))))
-        self.writer.writerow(row)
-        self.file.flush()
-        for name in ("training_loss", "validation_loss"):
-            self.board.add_scalar(name, row[name], state.epoch)
-        return row
-
-    def __exit__(self, *_) -> None:
-        self.file.close()
-        self.board.close()
