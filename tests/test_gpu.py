@@ -10,6 +10,8 @@ import pytest
 import torch
 
 import neusub
+import neusub.recording
+import neusub.training
 import shapes
 from neusub import PRESETS, Subdivider
 from neusub.flaps import level_flaps
@@ -82,3 +84,12 @@ def test_a_recorded_training_goes_on_where_it_was(files, tmp_path):
     parts = train(*files, tmp_path / "parts", config, resume=True)
     assert parts.best_loss == pytest.approx(whole.best_loss, rel=0.02)
     assert json.loads(json.dumps(parts.model.card["training"]["config"]))["device"] == "cuda"
+
+
+def test_a_training_that_fills_the_gpu_goes_on_without_recording(files, tmp_path, monkeypatch):
+    config, room = replace(PRESETS["paper"], epochs=4, device="cuda"), iter([True] * 6)  # then no more
+    whole = train(*files, tmp_path / "whole", config)
+    for module in (neusub.recording, neusub.training):
+        monkeypatch.setattr(module, "has_room", lambda device: next(room, False))
+    crowded = train(*files, tmp_path / "crowded", config)
+    assert crowded.best_loss == pytest.approx(whole.best_loss, rel=0.02)

@@ -11,7 +11,17 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 import torch
 from torch import Tensor
 
-__all__ = ["Recorder"]
+__all__ = ["Recorder", "has_room"]
+
+ROOM = 0.25  # of a GPU's memory: what is left for the work itself
+
+
+def has_room(device: torch.device) -> bool:
+    """Whether more may be kept on a device: on a CPU always, on a GPU while ROOM of its memory is free."""
+    if device.type != "cuda":
+        return True
+    free, total = torch.cuda.mem_get_info(device)
+    return free > ROOM * total
 
 
 class Recorder:
@@ -27,16 +37,23 @@ class Recorder:
         self.graphs: dict[Hashable, torch.cuda.CUDAGraph] = {}
         self.loss = torch.zeros((), device=device)  # where works may leave theirs
 
-    def run(self, key: Hashable, work: Callable[[], Iterable[Tensor]], results: Sequence[Tensor]) -> Tensor:
-        """Bring what `work` gives into `results`, whose first it returns; it is recorded the first time."""
+    def run(self, key: Hashable, work: Callable[[], Iterable[Tensor]], results: Sequence[Tensor],
+            again: bool = True) -> Tensor:
+        """Bring what `work` gives into `results`, whose first it returns.
+
+        It is recorded the first time, unless it does not come `again` with the same tensors or there is no room.
+        """
         current = torch.cuda.current_stream(self.stream.device)
         self.stream.wait_stream(current)
         with torch.cuda.stream(self.stream):
-            if not self.graphs:
-                tuple(work())  # libraries allocate what they need on a stream
-            if key not in self.graphs:
-                self.graphs[key] = self._recorded(work, results)
-            self.graphs[key].replay()
+            if key not in self.graphs and not (again and has_room(self.stream.device)):
+                copy_to(results, work())
+            else:
+                if not self.graphs:
+                    tuple(work())  # libraries allocate what they need on a stream
+                if key not in self.graphs:
+                    self.graphs[key] = self._recorded(work, results)
+                self.graphs[key].replay()
         current.wait_stream(self.stream)
         return results[0]
 
@@ -45,8 +62,12 @@ class Recorder:
         graph = torch.cuda.CUDAGraph()
         graph.capture_begin(pool=self.pool, capture_error_mode="thread_local")
         try:
-            for result, value in zip(results, work(), strict=True):
-                result.copy_(value)
+            copy_to(results, work())
         finally:
             graph.capture_end()
         return graph
+
+
+def copy_to(results: Sequence[Tensor], values: Iterable[Tensor]) -> None:
+    for result, value in zip(results, values, strict=True):
+        result.copy_(value)

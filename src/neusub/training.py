@@ -31,7 +31,7 @@ from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, file_hash, load_pairs, read_header, scaled, shortened
 from neusub.logs import TrainingLog
 from neusub.network import NeuralSubdivision
-from neusub.recording import Recorder
+from neusub.recording import Recorder, has_room
 from neusub.subdivider import Subdivider, resolve_device
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "mean_coarse_edge", "set_rate", "train"]
@@ -259,7 +259,7 @@ def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int, each: Map
     for number, parts, meshes, depth in batches.epoch(epoch):
         if recorder:
             loss = recorder.run((number, depth), partial(with_gradients, parts[0], depth, meshes),
-                                [recorder.loss, *(weight.grad for weight in weights)])
+                                [recorder.loss, *(weight.grad for weight in weights)], number in batches.kept)
         else:
             optimizer.zero_grad(set_to_none=True)
             if len(parts) == 1:
@@ -335,7 +335,7 @@ class _Batches:
                 parts = [batch_pairs([self.pairs[i] for i in part], self.config.input, self.device,
                                      weighting=self.config.weighting)
                          for part in np.array_split(group, min(self.workers, len(group)))]
-                if len(self.pairs) <= KEPT_PAIRS:
+                if len(self.pairs) <= KEPT_PAIRS and has_room(self.device):
                     self.kept[k] = parts
                     make_recordable(parts)
             yield int(k), parts, len(group), 1 if stops[k] else len(parts[0].levels)
