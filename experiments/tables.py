@@ -186,9 +186,57 @@ def ablation_full() -> str:
     return ablation("200 pairs, 200 epochs")
 
 
+def table2(part: str) -> str:
+    data, kinds = results("table2"), {"on_surface": "on the surface", "decimated": "decimated"}
+    free, bounded = data[part], data[f"{part}, bounded"]
+    schemes = ("midpoint", "loop", "butterfly")
+
+    def row(name: str, of: Callable[[dict, str], dict], weight: str = "") -> list[str]:
+        cells = [*(hm(of(free, m)) for m in schemes), hm(of(free, "network")), hm(of(bounded, "network"))]
+        return [f"{weight}{cell}{weight}" for cell in (name, *cells)]
+
+    shapes = {name: row["shapes"] for name, row in free["on_surface"]["loop"]["categories"].items()}
+    rows = [row(f"{name} ({count})", lambda part, m, name=name: part["on_surface"][m]["categories"][name])
+            for name, count in shapes.items()]
+    rows += [row(f"mean, {kinds[kind]}", lambda part, m, kind=kind: part[kind][m], "**" if kind == "on_surface" else "")
+             for kind in kinds]
+    rows.append(row("eight fixed inputs, on the surface", lambda part, m: part["fixed_inputs"]["on_surface"][m]))
+    return markdown(["H / M", "midpoint", "Loop", "butterfly", "network", "network, bounded"], rows)
+
+
+def table2_top() -> str:
+    return table2("top")
+
+
+def table2_bottom() -> str:
+    return table2("bottom")
+
+
+def shares(part: str) -> str:
+    data = results("table2")
+    free, bounded = (data[name]["ratios"]["on_surface"] for name in (part, f"{part}, bounded"))
+    wanted = [(measure, scheme, data[part]["ratios_of_the_paper"][measure][scheme]) for measure in "MH"
+              for scheme in ("butterfly", "loop")] + [("H", "midpoint", 1.0)]
+    rows = []
+    for measure, scheme, paper in wanted:
+        here = [free[measure][scheme], bounded[measure][scheme]]
+        reached = ", ".join("yes" if value <= paper else "no" for value in here)
+        rows.append([f"{measure}, of {label(scheme)}'s", *(f"{value:.3f}" for value in here),
+                     "at most 1 wanted" if scheme == "midpoint" else f"{paper:.3f}", reached])
+    return markdown(["the network's share, on the surface", "here", "bounded", "paper", "reached"], rows)
+
+
+def shares_top() -> str:
+    return shares("top")
+
+
+def shares_bottom() -> str:
+    return shares("bottom")
+
+
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
     fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle,
-    upsampling, cages, ablation, ablation_full)}
+    upsampling, cages, ablation, ablation_full, table2_top, table2_bottom, shares_top, shares_bottom)}
 
 
 def renewed(text: str) -> str:
