@@ -229,8 +229,8 @@ def main() -> None:
         print(*ratios(rows), sep="\n")
     if not options.quick:
         write_results("runtime", results)
-    if not options.quick and len(results) == len(SHOWS):
-        print(draw(results["fig:runtime"]["seconds"], results["sec:SSS"]))
+        if len(results) == len(SHOWS):
+            print(draw(results["fig:runtime"]["seconds"], results["sec:SSS"]))
 
 
 if __name__ == "__main__":
