@@ -9,7 +9,7 @@ import torch
 import neusub.compiled
 import neusub.flaps
 import shapes
-from neusub.configuration import PRESETS, Architecture
+from neusub.configuration import PRESETS, Architecture, TrainingConfig
 from neusub.flaps import level_flaps
 from neusub.frames import differential_coordinates, star_sums
 from neusub.generation import Batch, Pair, batch_pairs
@@ -264,5 +264,5 @@ def test_the_validation_loss_equals_the_reference(golden, elephant, tmp_path, wa
 
     paths = import_pairs(elephant, tmp_path)
     batches = [batch_pairs([pair]) for pair in load_pairs(paths[1])]
-    loss = validate(reference_network(golden, torch.float32), batches)
+    loss = validate(reference_network(golden, torch.float32), batches, TrainingConfig())
     assert loss == pytest.approx(1.926012e-6, abs=5e-13)

@@ -16,14 +16,14 @@ import shapes
 from neusub.configuration import Architecture, TrainingConfig
 from neusub.errors import PairFileError, TrainingError
 from neusub.flaps import FlapGroups, LevelFlaps
-from neusub.generation import Batch, Pair, batch_pairs, load_pairs, save_pairs, shortened
+from neusub.generation import Batch, FaceTargets, Pair, batch_pairs, load_pairs, save_pairs, shortened
 from neusub.layers import columns
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
 from neusub.topology import topology_levels
-from neusub.training import PRESETS, in_threads, recordable, train, validate, workers_of
+from neusub.training import PRESETS, batch_of, in_threads, loss_of_batch, recordable, train, validate, workers_of
 from test_network import make_pair
 
 CONFIG = TrainingConfig(epochs=4, checkpoint_every=1, device="cpu")
@@ -270,23 +270,59 @@ def test_errors_can_be_weighted_by_area(files):
     assert float(alone[0].weights[-1][v]) == pytest.approx(share / 9, rel=1e-4)
 
 
-@pytest.mark.parametrize("weighting", ["vertices", "areas"])
-def test_training_and_validation_weigh_errors_alike(files, tmp_path, weighting):
+def test_the_error_of_normals_is_their_distance(files):
+    """Turned by an angle as a whole, or a part of the area by another; a union is the sum of its meshes."""
+    pairs = load_pairs(files[0][0])[:2]
+    batch, *alone = (batch_pairs(group, normals=True, dtype=torch.float64) for group in (pairs, *([p] for p in pairs)))
+    for angle in (0.02, 0.5):
+        turn = torch.linalg.matrix_exp(torch.tensor([[0.0, -angle, 0], [angle, 0, 0], [0, 0, 0]], dtype=torch.float64))
+        for level in batch.faces:
+            normals = turn @ level.normals
+            distance = torch.linalg.norm(normals - level.normals, dim=0)
+            expected = float((((distance**2 + 0.05**2) ** 0.5 - 0.05) * level.weights).sum())
+            positions = batch.targets @ turn.T
+            assert float(level.error(positions)) == pytest.approx(expected, rel=1e-6)
+    outputs = [batch.targets[: len(weight)] + 0.01 * torch.sin(9 * batch.targets[: len(weight)])
+               for weight in batch.weights]
+    parts = [[one.targets[: len(weight)] + 0.01 * torch.sin(9 * one.targets[: len(weight)]) for weight in one.weights]
+             for one in alone]
+    whole, without = (float(batch.loss(outputs, normals=weight)) for weight in (0.3, 0))
+    added = sum(float(level.error(out)) for level, out in zip(batch.faces, outputs))
+    assert whole == pytest.approx(without + 0.3 * added, rel=1e-9)
+    assert added > 0.01
+    assert whole == pytest.approx(sum(float(one.loss(out, normals=0.3)) for one, out in zip(alone, parts)), rel=1e-6)
+
+
+def test_faces_without_area_spoil_no_gradient():
+    vertices, faces = shapes.grid()
+    batch = batch_pairs([loop_pair(vertices, faces)], normals=True)
+    flat = torch.zeros_like(batch.targets, requires_grad=True)  # all in one place
+    (gradient,) = torch.autograd.grad(batch.faces[-1].error(flat), flat)
+    assert torch.isfinite(gradient).all()
+
+
+@pytest.mark.parametrize("weighting, normals", [("vertices", 0.0), ("areas", 0.0), ("vertices", 0.1)])
+def test_training_and_validation_weigh_errors_alike(files, tmp_path, weighting, normals):
     rows, pairs = [], load_pairs(files[0][0])
-    config = replace(CONFIG, epochs=1, batch=len(pairs), weighting=weighting)
+    config = replace(CONFIG, epochs=1, batch=len(pairs), weighting=weighting, normals=normals)
     result = train(files[0], files[0], tmp_path / "run", config, on_epoch=rows.append)
-    batches = [batch_pairs([pair], weighting=weighting) for pair in pairs]
+    batches = [batch_of([pair], config, torch.device("cpu")) for pair in pairs]
     torch.manual_seed(config.seed)
-    assert rows[0]["training_loss"] == pytest.approx(validate(NeuralSubdivision(), batches), rel=1e-4)
+    assert rows[0]["training_loss"] == pytest.approx(validate(NeuralSubdivision(), batches, config), rel=1e-4)
     network = NeuralSubdivision()  # the result's bounds displacements
     network.load_state_dict(result.model.network.state_dict())
-    assert rows[0]["validation_loss"] == pytest.approx(validate(network, batches), rel=1e-4)
+    assert rows[0]["validation_loss"] == pytest.approx(validate(network, batches, config), rel=1e-4)
 
 
 @pytest.mark.parametrize("name, value", [("loss", "sqared"), ("weighting", "area")])
 def test_a_misspelt_option_is_named(name, value):
     with pytest.raises(ValueError, match=f"{name} = '{value}': take one of"):
         replace(CONFIG, **{name: value})
+
+
+def test_a_weight_below_zero_is_named():
+    with pytest.raises(ValueError, match="normals = -1: take 0"):
+        replace(CONFIG, normals=-1)
 
 
 def test_which_trainings_are_recorded():
@@ -337,21 +373,22 @@ def without_numbers(batch: Batch) -> Batch:
     levels = [LevelFlaps(groups(level.by_vertex), groups(level.by_edge), bare(level.edges), level.topology)
               for level in batch.levels]
     return Batch(bare(batch.positions), levels, bare(batch.targets), [bare(w) for w in batch.weights],
-                 bare(batch.normals))
+                 bare(batch.normals), [FaceTargets(*map(bare, level)) for level in batch.faces])
 
 
 @pytest.mark.parametrize("preset", ["paper", "default"])
 @pytest.mark.parametrize("shape", [shapes.torus(), shapes.grid()])
 def test_a_step_asks_its_device_for_nothing_and_brings_it_nothing(shape, preset):
-    batch = without_numbers(batch_pairs([loop_pair(*shape)]))
-    network = NeuralSubdivision(PRESETS[preset].network).to("meta")
+    config = PRESETS[preset]
+    batch = without_numbers(batch_of([loop_pair(*shape)], config, torch.device("cpu")))
+    network = NeuralSubdivision(config.network).to("meta")
     columns.cache_clear()
-    given = [batch.positions, batch.targets, batch.normals, batch.weights, list(network.parameters()),
+    given = [batch.positions, batch.targets, batch.normals, batch.weights, batch.faces, list(network.parameters()),
              [level.edges for level in batch.levels],
              [list(vars(groups).values()) for level in batch.levels for groups in (level.by_vertex, level.by_edge)]]
     with NothingFromTheHost(given):
-        loss = batch.loss(network(batch.positions, batch.levels), PRESETS[preset].loss)
+        loss = loss_of_batch(batch, network(batch.positions, batch.levels), config)
         gradients = torch.autograd.grad(loss, list(network.parameters()))
         with torch.no_grad():
-            batch.loss(network(batch.positions, batch.levels), PRESETS[preset].loss)
+            loss_of_batch(batch, network(batch.positions, batch.levels), config)
     assert [g.shape for g in gradients] == [w.shape for w in network.parameters()]

@@ -105,6 +105,7 @@ def train_command(
     input: Literal["on_surface", "decimated"] | None = None,
     loss: Literal["squared", "distance", "surface"] | None = None,
     weighting: Literal["vertices", "areas"] | None = None,
+    normals: float | None = None,
     seed: int | None = None,
     device: str | None = None,
     threads: int | None = None,
@@ -129,13 +130,15 @@ def train_command(
         loss: Squared errors as in the paper; distances, which a few bad targets do not carry; or distances to the
             surface, with less weight along it.
         weighting: Each vertex's error counts the same, or by the area around it.
+        normals: Weight of the error of the faces' normals beside that of positions, for smoothness: 0 or, say, 0.03.
         seed: Of weights and order.
         device: auto, cpu, cuda, ...
         threads: CPU threads.
         resume: Go on with the run in OUT.
     """
     given = {"epochs": epochs, "cycles": cycles, "batch": batch, "learning_rate": learning_rate, "levels": levels,
-             "input": input, "loss": loss, "weighting": weighting, "seed": seed, "device": device, "threads": threads}
+             "input": input, "loss": loss, "weighting": weighting, "normals": normals, "seed": seed,
+             "device": device, "threads": threads}
 
     def work(_: Path) -> list[str]:
         from neusub.generation import pair_files

@@ -62,6 +62,7 @@ class TrainingConfig:
     unturned: bool = False  # of the trained model
     loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
     weighting: Literal["vertices", "areas"] = "vertices"  # by the target's area around it, or each counts the same
+    normals: float = 0.0  # weight of the error of the faces' normals in the loss, beside that of positions: smoothness
     seed: int = 0
     device: str = "auto"
     precision: str = "32-true"  # as Lightning Fabric names it
@@ -81,6 +82,8 @@ class TrainingConfig:
         for name, known in (("loss", ("squared", "distance", "surface")), ("weighting", ("vertices", "areas"))):
             if getattr(self, name) not in known:
                 raise ValueError(f"{name} = {getattr(self, name)!r}: take one of {', '.join(known)}.")
+        if not self.normals >= 0:
+            raise ValueError(f"normals = {self.normals}: take 0, or a positive weight.")
         if not 0 <= self.shallow <= 1:
             raise ValueError(f"shallow = {self.shallow}: take a share, 0 to 1.")
         if not self.learning_rate > 0:
@@ -100,7 +103,7 @@ PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
     "default": TrainingConfig(batch=2, schedule="cosine", epochs=72, cycles=2, learning_rate=1e-3, levels=3,
-                              shallow=0.6, loss="surface",
+                              shallow=0.6, loss="surface", normals=0.03,
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
                               bound=(0.25, 0.6, 0.3), sharp=0.04, settle=0.2, crisp=True, unturned=True),

@@ -18,15 +18,16 @@ import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 import torch
-from jaxtyping import Float, Float64, Int64
+from jaxtyping import Float, Float64, Int, Int64
 from numpy import ndarray
 from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
-from neusub import __version__
+from neusub import __version__, bounds
 from neusub.creases import area_normals, unit_vectors
 from neusub.errors import PairFileError
 from neusub.files import replacing
@@ -38,6 +39,8 @@ __all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "pair_f
 FORMAT = "neusub-pairs-1"
 SMOOTH = 1e-5  # distances well below this count squared in the loss "distance"; the unit box's side is 1
 FORGIVEN = 0.5  # of the error along the surface, in the loss "surface"
+SMOOTH_ANGLE = 0.05  # radians: errors of normals well below count squared
+TINY = 1e-20  # a squared area that is nothing; those of the unit box's triangles are above 1e-14
 INPUTS = ("on_surface", "decimated")
 
 
@@ -240,6 +243,22 @@ def _read_obj_levels(root: Path) -> list[Pair]:
 # --- batches -----------------------------------------------------------------------------------------------------
 
 
+class FaceTargets(NamedTuple):
+    """A level's faces, for the error of their normals."""
+
+    faces: Int[torch.Tensor, "nF 3"]
+    normals: Float[torch.Tensor, "3 nF"]  # unit, of the targets
+    weights: Float[torch.Tensor, " nF"]  # by the target's area: a third in all for each mesh
+
+    def error(self, positions: Float[torch.Tensor, "nV 3"]) -> torch.Tensor:
+        """Sum over the meshes of the mean distance, in radians where it is small, between the unit normals of the faces
+        and of their targets; smooth near zero."""
+        normals = bounds.area_normals(self.faces, positions)
+        unit = normals * (normals.square().sum(0) + TINY).rsqrt()
+        distance = ((unit - self.normals).square().sum(0) + SMOOTH_ANGLE**2).sqrt() - SMOOTH_ANGLE
+        return (distance * self.weights).sum()
+
+
 @dataclass(frozen=True, eq=False)
 class Batch:
     """A disjoint union of pairs, as the network takes it."""
@@ -249,13 +268,14 @@ class Batch:
     targets: Float[torch.Tensor, "nV_L 3"]
     weights: list[Float[torch.Tensor, "nV_l 1"]]  # of each vertex's error: a third in all for each mesh
     normals: Float[torch.Tensor, "nV_L 3"]  # of the targets, as vertices of the last level
+    faces: list[FaceTargets]  # of levels 0 .. L, where the loss asks for their normals
 
-    def loss(self, outputs: list[torch.Tensor], kind: str = "squared") -> torch.Tensor:
+    def loss(self, outputs: list[torch.Tensor], kind: str = "squared", normals: float = 0.0) -> torch.Tensor:
         """Sum over levels of a mesh's mean error, summed over the meshes.
 
         kind: "squared", of the coordinates (paper, section 4); "distance", a third of the distance, smooth near zero,
         which a few bad targets do not carry; "surface", the same where half of the error along the surface is forgiven,
-        for that does not move the surface.
+        for that does not move the surface.  normals: so much of the faces' `error` is added on each level.
         """
         terms = []
         for out, weight in zip(outputs, self.weights):
@@ -268,12 +288,15 @@ class Batch:
                     squared = across + (1 - FORGIVEN) ** 2 * (squared - across).clamp(min=0)
                 squared = (squared + SMOOTH**2).sqrt() - SMOOTH
             terms.append((squared * weight).sum())
+        if normals:
+            terms += [normals * level.error(out) for out, level in zip(outputs, self.faces)]
         return torch.stack(terms).sum()
 
 
 def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.device | str = "cpu",
-                dtype: torch.dtype = torch.float32, weighting: str = "vertices") -> Batch:
-    """The disjoint union of pairs of equal depth; input and weighting as in `TrainingConfig`.
+                dtype: torch.dtype = torch.float32, weighting: str = "vertices", normals: bool = False) -> Batch:
+    """The disjoint union of pairs of equal depth; input and weighting as in `TrainingConfig`.  normals: whether the
+    loss will ask for those of faces.
 
     The union is refined as one mesh, so its vertices are renumbered at every level; within a mesh their order stays,
     so the targets find their places by a stable sort of the mesh that each vertex belongs to.
@@ -295,8 +318,7 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
     weights = []
     for level, owner in enumerate(owners):
         share = np.ones(len(owner)) if weighting == "vertices" else vertex_areas(targets[: len(owner)], faces[level])
-        share /= 3 * np.bincount(owner, share)[owner]
-        weights.append(torch.as_tensor(share[:, None], dtype=dtype, device=device))
+        weights.append(torch.as_tensor(shares(share, owner)[:, None], dtype=dtype, device=device))
     start = np.concatenate([pair.positions(input) for pair in pairs])
     return Batch(
         torch.as_tensor(start, dtype=dtype, device=device),
@@ -304,7 +326,24 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
         torch.as_tensor(targets, dtype=dtype, device=device),
         weights,
         torch.as_tensor(vertex_normals(targets, faces[-1]), dtype=dtype, device=device),
+        [face_targets(*level, targets, dtype, device) for level in zip(faces, owners)] if normals else [],
     )
+
+
+def shares(amounts: Float64[ndarray, " n"], owner: Int64[ndarray, " n"]) -> Float64[ndarray, " n"]:
+    """Amounts as parts of a third of all that their mesh has."""
+    return amounts / (3 * np.bincount(owner, amounts)[owner])
+
+
+def face_targets(faces: Int64[ndarray, "nF 3"], owner: Int64[ndarray, " nV"], targets: Float[ndarray, "nV_L 3"],
+                 dtype: torch.dtype, device: torch.device | str) -> FaceTargets:
+    """Owner: the mesh of each vertex."""
+    normals = area_normals(faces, targets.astype(np.float64))
+    areas = np.linalg.norm(normals, axis=1)
+    unit = np.ascontiguousarray(unit_vectors(normals).T)
+    return FaceTargets(torch.as_tensor(np.require(faces, requirements="W"), device=device),
+                       torch.as_tensor(unit, dtype=dtype, device=device),
+                       torch.as_tensor(shares(areas, owner[faces[:, 0]]), dtype=dtype, device=device))
 
 
 def vertex_normals(positions: Float[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Float[ndarray, "nV 3"]:

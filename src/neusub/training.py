@@ -108,7 +108,7 @@ class _Run:
                                   self.recorder)
         loss = training_loss
         if validation:
-            loss = validate(self.model.module, validation, self.config.loss, each, self.recorder)
+            loss = validate(self.model.module, validation, self.config, each, self.recorder)
         if not np.isfinite(training_loss + loss):
             raise TrainingError(f"the loss of epoch {self.state.epoch + 1} is not finite. Train in another folder at "
                                 f"a learning rate below {self.config.learning_rate}, or look for broken pairs.")
@@ -171,8 +171,7 @@ def train(
         raise TrainingError(f"{out}: the run has {run.state.epoch} epochs already, {config.epochs} were asked for.")
     workers = workers_of(config, run.fabric.device)
     batches = _Batches(run.pairs, config, run.fabric.device, workers)
-    validation = [batch_pairs([p], config.input, run.fabric.device, weighting=config.weighting)
-                  for p in read_pairs(validation_files, config)]
+    validation = [batch_of([pair], config, run.fabric.device) for pair in read_pairs(validation_files, config)]
     make_recordable(validation)
     out.mkdir(parents=True, exist_ok=True)
     with TrainingLog(out, run.state.epoch) as log, in_threads(workers) as each:
@@ -191,6 +190,14 @@ def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair
     """The pairs, with at most the trained levels; for a network that knows no scale, each at the same scale."""
     pairs = [shortened(pair, config.levels) for file in files for pair in load_pairs(file)]
     return [scaled(pair, EDGE / mean_coarse_edge([pair])) for pair in pairs] if config.network.relative else pairs
+
+
+def batch_of(pairs: list[Pair], config: TrainingConfig, device: torch.device) -> Batch:
+    return batch_pairs(pairs, config.input, device, weighting=config.weighting, normals=config.normals > 0)
+
+
+def loss_of_batch(batch: Batch, outputs: list[Tensor], config: TrainingConfig) -> Tensor:
+    return batch.loss(outputs, config.loss, config.normals)
 
 
 def make_recordable(batches: list[Batch]) -> None:
@@ -250,7 +257,7 @@ def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int, each: Map
     def loss_of(part: Batch, depth: int, meshes: int) -> Tensor:
         with fabric.autocast():  # the module itself: the wrapper would copy the half-flaps, to convert them
             outputs = model.module(part.positions, part.levels[:depth])
-        return part.loss(outputs, batches.config.loss) / meshes
+        return loss_of_batch(part, outputs, batches.config) / meshes
 
     def with_gradients(part: Batch, depth: int, meshes: int) -> tuple[Tensor, ...]:
         loss = loss_of(part, depth, meshes)
@@ -287,12 +294,12 @@ def recordable(config: TrainingConfig, device: torch.device, pairs: int) -> bool
     return pairs <= KEPT_PAIRS
 
 
-def validate(model, batches: list[Batch], loss: str = "squared", each: Map = map,
+def validate(model, batches: list[Batch], config: TrainingConfig, each: Map = map,
              recorder: Recorder | None = None) -> float:
     """Mean over the meshes of the loss of one."""
     def loss_of(number: int, batch: Batch) -> Tensor:
         def work() -> list[Tensor]:
-            return [batch.loss(model(batch.positions, batch.levels), loss)]
+            return [loss_of_batch(batch, model(batch.positions, batch.levels), config)]
 
         with torch.no_grad():
             return recorder.run(number, work, [recorder.loss]).clone() if recorder else work()[0]
@@ -332,8 +339,7 @@ class _Batches:
         for k in epoch_order(len(self.groups), self.config.seed, epoch):
             parts, group = self.kept.get(k), self.groups[k]
             if parts is None:
-                parts = [batch_pairs([self.pairs[i] for i in part], self.config.input, self.device,
-                                     weighting=self.config.weighting)
+                parts = [batch_of([self.pairs[i] for i in part], self.config, self.device)
                          for part in np.array_split(group, min(self.workers, len(group)))]
                 if len(self.pairs) <= KEPT_PAIRS and has_room(self.device):
                     self.kept[k] = parts
