@@ -3,6 +3,7 @@
 import subprocess
 import sys
 import time
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,7 @@ import pytest
 import neusub
 import shapes
 from neusub.cli import main
+from neusub.cli_shared import for_each
 from neusub.mesh import Material, Mesh
 
 
@@ -94,11 +96,14 @@ def test_textures_and_materials_of_others_are_not_overwritten(tmp_path, capsys, 
         (tmp_path / name).mkdir()
         neusub.save(Mesh(**shapes.uv_box(), face_data={"material": np.zeros(12, int)}, materials=(material,)),
                     f"{name}/{name}.obj")
-    status, _, err = neusub_command(capsys, "subdivide", "A/A.obj", "B/B.obj", "-o", "out", "--levels", 1)
-    assert status == 1
-    assert "tex.png" in err
-    assert (tmp_path / "out" / "tex.png").read_bytes() == b"A"
-    assert not (tmp_path / "out" / "B.obj").exists()
+    for words in ((), ("--overwrite",)):
+        assert neusub_command(capsys, "subdivide", "A/A.obj", "B/B.obj", "-o", "out", "--levels", 1, *words)[0] == 0
+        for name in "AB":
+            assert neusub.load(tmp_path / "out" / f"{name}.obj").materials[0].textures[0][2] == name.encode()
+    (tmp_path / "out" / "A.obj").unlink()
+    status, _, err = neusub_command(capsys, "subdivide", "B/B.obj", "-o", "out/A.obj", "--levels", 1)
+    assert status == 1 and "A.mtl exists" in err
+    assert not (tmp_path / "out" / "A.obj").exists()
 
 
 def test_creases_stay_in_the_limit_levels_and_only_where_they_are_kept(tmp_path):
@@ -187,6 +192,51 @@ def test_decimate_writes_the_coarse_mesh_and_its_map(fine, tmp_path, capsys):
     np.testing.assert_allclose(neusub.load(tmp_path / "c.obj").vertices, result.decimated, atol=1e-6)
     assert neusub_command(capsys, "render", tmp_path / "m.safetensors", "-o", tmp_path / "m.png", "--map")[0] == 0
     assert (tmp_path / "m.png").stat().st_size > 10_000
+
+
+@pytest.mark.parametrize("on_surface", [False, True])
+def test_decimate_carries_what_the_mesh_has(tmp_path, capsys, on_surface):
+    vertices, faces = shapes.torus(24, 16)
+    uv_faces = faces + len(vertices) * (np.arange(len(faces)) % 2)[:, None]  # a seam along each edge
+    fine = Mesh(vertices, faces, uv=np.concatenate([vertices[:, :2], vertices[:, 1:]]), uv_faces=uv_faces,
+                face_data={"material": np.arange(len(faces)) // 384},
+                materials=tuple(Material(name, (0.5, k, 0.0, 1.0)) for k, name in enumerate("ab")))
+    neusub.save(fine, tmp_path / "fine.obj")
+    status, out, _ = neusub_command(capsys, "decimate", tmp_path / "fine.obj", "-o", tmp_path / "c.obj", "--faces", 200,
+                                    *["--on-surface"] * on_surface)
+    assert status == 0 and "lie across a seam" in out
+    coarse, result = neusub.load(tmp_path / "c.obj"), neusub.decimate(fine, n_faces=200)
+    wanted = result.on_surface.vertices if on_surface else result.decimated
+    np.testing.assert_allclose(coarse.vertices, wanted, atol=1e-12)
+    under, _ = result.to_fine(np.arange(200), np.full((200, 3), 1 / 3))
+    names = [coarse.materials[k].name for k in coarse.face_data["material"]]
+    assert names == ["ab"[k] for k in fine.face_data["material"][under]]
+    uv, uv_faces, _ = result.transfer_corners(fine.uv, fine.uv_faces)
+    np.testing.assert_allclose(coarse.uv[coarse.uv_faces], uv[uv_faces], atol=1e-12)
+
+
+@pytest.mark.parametrize("command", [("subdivide",), ("subdivide", "--scheme", "midpoint"), ("remesh", "--faces", 40)])
+def test_more_levels_than_memory_holds_are_refused_at_once(ball, tmp_path, capsys, command):
+    status, _, err = neusub_command(capsys, command[0], ball, "-o", tmp_path / "x.obj", "--levels", 40, *command[1:])
+    assert status == 1 and "TooLargeError" in err and "Take fewer levels" in err
+    assert not (tmp_path / "x.obj").exists()
+
+
+@pytest.mark.parametrize("error", [MemoryError(), RuntimeError("DefaultCPUAllocator: can't allocate memory")])
+def test_memory_that_runs_out_is_said_in_a_line(capsys, error):
+    def work(_):
+        raise error
+
+    assert for_each((Path("a.obj"),), work) == 1
+    assert capsys.readouterr().err.startswith("neusub: a.obj: not enough memory for this. Take fewer levels")
+
+
+def test_other_errors_are_not_hidden():
+    def work(_):
+        raise RuntimeError("a bug")
+
+    with pytest.raises(RuntimeError, match="a bug"):
+        for_each((Path("a.obj"),), work)
 
 
 @pytest.mark.parametrize("words, message", [

@@ -177,3 +177,10 @@ def test_creases_by_mask_index_and_pair_are_the_same():
     for wrong in (np.array([[1, 3]]), np.array([99]), np.array([[0, 99]]), mask[:-1]):
         with pytest.raises(ValueError, match="crease"):
             crease_mask(topology, wrong)
+
+
+@pytest.mark.parametrize("angle", [float("nan"), -4, 200])
+def test_an_angle_out_of_range_is_named(angle):
+    for scheme in ("neural", "loop"):
+        with pytest.raises(ValueError, match="take degrees from 0 to 180"):
+            neusub.subdivide(Mesh(*shapes.cube()), scheme, 1, crease_angle=angle)

@@ -3,6 +3,7 @@
 import json
 from dataclasses import replace
 from itertools import islice
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -176,6 +177,15 @@ def test_a_stream_gives_the_same_pairs_in_the_same_order_whatever_the_workers():
         np.testing.assert_array_equal(a.targets, b.targets)
         np.testing.assert_array_equal(a.faces, b.faces)
     assert not np.array_equal(one[0].faces, one[2].faces)
+
+
+def test_workers_of_a_loader_share_the_pairs_of_a_stream(monkeypatch):
+    stream, names = PairStream([Mesh(*shapes.icosphere(3))], CONFIG, workers=1, ahead=2), []
+    for worker in range(2):
+        told = SimpleNamespace(id=worker, num_workers=2)
+        monkeypatch.setattr("neusub.discretization.get_worker_info", lambda told=told: told)
+        names.append([pair.name for pair in islice(stream, 3)])
+    assert names == [["0[0]", "0[2]", "0[4]"], ["0[1]", "0[3]", "0[5]"]]
 
 
 @pytest.mark.parametrize("kind", ["on_surface", "decimated"])

@@ -337,3 +337,9 @@ def test_a_compilation_is_announced_once_on_a_machine(tmp_path, caplog):
     assert announced(known) == []
     (tmp_path / "collapse.run-75.py311.nbi").touch()  # as numba names them
     assert announced(fresh) == []
+
+
+@pytest.mark.parametrize("target", [2.5, True, "10"])
+def test_a_target_that_is_no_whole_number_is_named(target):
+    with pytest.raises(DecimationError, match="take a whole number"):
+        decimate(Mesh(*shapes.icosphere(1)), n_faces=target)

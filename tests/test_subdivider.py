@@ -125,3 +125,10 @@ def test_a_card_names_the_weights_for_the_other_kind_of_input(model):
     both = Subdivider(model.network, {**CARD, "companions": {"decimated": "elephant"}})
     expected = Subdivider.load("elephant", device="cpu", dtype=torch.float64).subdivide(mesh)[-1].vertices
     assert np.array_equal(both.subdivide(mesh, input="decimated")[-1].vertices, expected)
+
+
+def test_what_is_no_mesh_or_no_scheme_is_named():
+    with pytest.raises(TypeError, match="mesh is a str: load a file"):
+        neusub.subdivide("cow.obj")
+    with pytest.raises(ValueError, match="unknown scheme 'lop': take one of neural, loop"):
+        neusub.subdivide(Mesh(*shapes.cube()), "lop")

@@ -314,7 +314,31 @@ def test_training_and_validation_weigh_errors_alike(files, tmp_path, weighting, 
     assert rows[0]["validation_loss"] == pytest.approx(validate(network, batches, config), rel=1e-4)
 
 
-@pytest.mark.parametrize("name, value", [("loss", "sqared"), ("weighting", "area")])
+@pytest.mark.parametrize("name, value", [("width", 0), ("features", 0), ("vectors", -1), ("settle", float("nan")),
+                                         ("activation", "tanh")])
+def test_an_architecture_that_cannot_be_is_named(name, value):
+    with pytest.raises(ValueError, match=f"{name} = .*: take"):
+        Architecture(**{name: value})
+
+
+def test_a_seed_below_zero_is_named():
+    with pytest.raises(ValueError, match="seed = -5: take"):
+        replace(CONFIG, seed=-5)
+
+
+@pytest.mark.parametrize("given", ["pairs.safetensors", iter([])])
+def test_pairs_that_are_no_list_of_files_are_named(given, tmp_path):
+    with pytest.raises(PairFileError, match="Give a list of pair files"):
+        train(given, [], tmp_path / "run", CONFIG)
+
+
+def test_a_folder_of_pairs_is_named(tmp_path):
+    with pytest.raises(PairFileError, match="is a folder"):
+        train([tmp_path], [], tmp_path / "run", CONFIG)
+
+
+@pytest.mark.parametrize("name, value", [("loss", "sqared"), ("weighting", "area"), ("schedule", "cos"),
+                                         ("input", "on")])
 def test_a_misspelt_option_is_named(name, value):
     with pytest.raises(ValueError, match=f"{name} = '{value}': take one of"):
         replace(CONFIG, **{name: value})

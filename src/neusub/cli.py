@@ -11,6 +11,7 @@ from tyro.conf import Positional
 
 from neusub import cli_learning  # noqa: F401 (its commands join the app)
 from neusub.cli_shared import Output, app, check_free, check_output, for_each, level_files, progress_bar, say
+from neusub.configuration import Input
 
 QUICK = 80_000  # faces of a result that is looked through for crossings within a second or so
 
@@ -25,7 +26,7 @@ def subdivide_command(
     model: str | None = None,
     levels: int = 2,
     limit_levels: int = 0,
-    input: Literal["on_surface", "decimated"] | None = None,
+    input: Input | None = None,
     scale: Literal["edge", "box", "none"] = "edge",
     crease_angle: float | None = None,
     uncross: Literal["cages", "always", "never"] = "cages",
@@ -207,6 +208,8 @@ def decimate_command(
 ) -> int:
     """Collapse edges down to a number of vertices or faces, keeping a bijective map to the original.
 
+    UVs, colours, materials and labels come along through the map.
+
     Args:
         mesh: A mesh file.
         output: The coarse mesh.
@@ -223,6 +226,7 @@ def decimate_command(
     """
     def work(path: Path) -> list[str]:
         from neusub.io import KINDS, load, save
+        from neusub.remeshing import with_signals
         from neusub.selfparam import decimate
         from neusub.selfparam.criteria import refusals
 
@@ -232,10 +236,12 @@ def decimate_command(
         with progress_bar("left") as update:
             result = decimate(fine, n_vertices=vertices, n_faces=faces, strategy=strategy, seed=seed,
                               sharp_boundary_angle=sharp_boundary_angle, on_progress=update)
-        save(result.on_surface if on_surface else result.coarse, output, overwrite=overwrite)
+        coarse = with_signals(result)
+        save(coarse if on_surface else coarse.replace_vertices(result.decimated), output, overwrite=overwrite)
         if map_file:
             result.save(map_file)
-        lines = [f"{path}: {len(fine.faces):,} -> {len(result.faces):,} faces: {output}"]
+        lines = [*(f"{path}: {line}" for line in coarse.load_report),
+                 f"{path}: {len(fine.faces):,} -> {len(result.faces):,} faces: {output}"]
         if not result.reached:
             lines.append(f"the target was not reached; refused: {refusals(result.counts)}")
         return lines + ([str(result.report())] if report else [])

@@ -9,7 +9,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from neusub.cli_shared import Output, app, for_each, progress_bar, say
-from neusub.configuration import PRESETS, PairConfig, TrainingConfig
+from neusub.configuration import PRESETS, Input, Loss, PairConfig, TrainingConfig, Weighting
 from neusub.errors import PairFileError
 
 __all__: list[str] = []
@@ -102,9 +102,9 @@ def train_command(
     batch: int | None = None,
     learning_rate: float | None = None,
     levels: int | None = None,
-    input: Literal["on_surface", "decimated"] | None = None,
-    loss: Literal["squared", "distance", "surface"] | None = None,
-    weighting: Literal["vertices", "areas"] | None = None,
+    input: Input | None = None,
+    loss: Loss | None = None,
+    weighting: Weighting | None = None,
     normals: float | None = None,
     seed: int | None = None,
     device: str | None = None,

@@ -75,6 +75,11 @@ def for_each(paths: tuple[Path, ...], work: Callable[[Path], list[str]]) -> int:
         except (NeusubError, ValueError, OSError) as error:
             failed += 1
             say(f"neusub: {path}: {type(error).__name__}: {error}", error=True)
+        except (MemoryError, RuntimeError) as error:
+            if not isinstance(error, MemoryError) and "memory" not in str(error):  # as torch says it
+                raise
+            failed += 1
+            say(f"neusub: {path}: not enough memory for this. Take fewer levels, or smaller meshes.", error=True)
     if failed and len(paths) > 1:
         say(f"neusub: {failed} of {len(paths)} failed", error=True)
     return int(failed > 0)

@@ -3,17 +3,28 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Any, Literal, get_args
 
 __all__ = ["FOR_USE", "PRESETS", "Architecture", "PairConfig", "TrainingConfig"]
 
 
+Activation = Literal["relu", "silu"]
+Input = Literal["on_surface", "decimated"]
+Loss = Literal["squared", "distance", "surface"]
+Schedule = Literal["constant", "cosine"]
+Weighting = Literal["vertices", "areas"]
 Bound = tuple[float, float] | tuple[float, float, float]  # in shortest edges, heights[, smallest altitudes]
 
 
 def check_bound(bound: Bound | None) -> None:
     if bound is not None and len(bound) not in (2, 3):
         raise ValueError(f"bound = {bound}: give two numbers or three.")
+
+
+def check_known(name: str, value: str, kind: Any) -> None:
+    """kind: a Literal of what there is."""
+    if value not in get_args(kind):
+        raise ValueError(f"{name} = {value!r}: take one of {', '.join(get_args(kind))}.")
 
 
 @dataclass(frozen=True)
@@ -25,7 +36,7 @@ class Architecture:
     vectors: int = 0  # learned too, and turning with the vertex's surroundings
     relative: bool = False  # lengths of each half-flap in units of its own mean edge: the network knows no scale
     residual: bool = False  # modules add to a vertex's features and vectors, instead of replacing them
-    activation: Literal["relu", "silu"] = "relu"
+    activation: Activation = "relu"
     turns: bool = False  # the input's vertices bring at how many edges the surface turns, and how far (`frames.py`)
     flat: float = 0.0  # displacements fade with heights below this many edges; 0: they do not (`bounds.py`)
     sharp: float = 0.0  # and around sharp edges of faces that are flat to this sine; 0: they do not (`bounds.py`)
@@ -37,6 +48,11 @@ class Architecture:
 
     def __post_init__(self) -> None:
         check_bound(self.bound)
+        for name, least in (("width", 1), ("features", 1), ("vectors", 0), ("trained", 1), ("flat", 0), ("sharp", 0),
+                            ("settle", 0)):
+            if not getattr(self, name) >= least:
+                raise ValueError(f"{name} = {getattr(self, name)}: take at least {least}.")
+        check_known("activation", self.activation, Activation)
 
 
 FOR_USE = "bound", "sharp", "settle", "crisp", "unturned"  # of `TrainingConfig`: what changes nothing that is learned
@@ -49,19 +65,19 @@ class TrainingConfig:
     epochs: int = 700
     batch: int = 1  # meshes a step
     learning_rate: float = 2e-3
-    schedule: Literal["constant", "cosine"] = "constant"  # cosine goes down to zero at the end of each cycle
+    schedule: Schedule = "constant"  # cosine goes down to zero at the end of each cycle
     cycles: int = 1  # of the cosine: each starts at the full rate (SGDR, Loshchilov and Hutter 2017)
     levels: int = 2  # at most; pairs with fewer are taken as deep as they are
     shallow: float = 0.0  # share of the steps that stop at level 1, where most of the error is: a fifth of the work
-    input: Literal["on_surface", "decimated"] = "on_surface"  # where the coarse vertices lie
+    input: Input = "on_surface"  # where the coarse vertices lie
     network: Architecture = Architecture()
     bound: Bound | None = (0.2, 0.3)  # of the trained model's displacements; `network` has that of the training
     sharp: float = 0.0  # of the trained model; `network` has that of the training
     settle: float = 0.0  # of the trained model, beyond `levels`
     crisp: bool = False  # of the trained model
     unturned: bool = False  # of the trained model
-    loss: Literal["squared", "distance", "surface"] = "squared"  # `Batch.loss`
-    weighting: Literal["vertices", "areas"] = "vertices"  # by the target's area around it, or each counts the same
+    loss: Loss = "squared"  # `Batch.loss`
+    weighting: Weighting = "vertices"  # by the target's area around it, or each counts the same
     normals: float = 0.0  # weight of the error of the faces' normals in the loss, beside that of positions: smoothness
     seed: int = 0
     device: str = "auto"
@@ -79,9 +95,11 @@ class TrainingConfig:
         for name in ("settle", "crisp", "unturned"):
             if getattr(self.network, name):
                 raise ValueError(f"network.{name} = {getattr(self.network, name)}: give the training's own, for use.")
-        for name, known in (("loss", ("squared", "distance", "surface")), ("weighting", ("vertices", "areas"))):
-            if getattr(self, name) not in known:
-                raise ValueError(f"{name} = {getattr(self, name)!r}: take one of {', '.join(known)}.")
+        for name, kind in (("schedule", Schedule), ("input", Input), ("loss", Loss), ("weighting", Weighting)):
+            check_known(name, getattr(self, name), kind)
+        for name in ("seed", "threads"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: take at least 0.")
         if not self.normals >= 0:
             raise ValueError(f"normals = {self.normals}: take 0, or a positive weight.")
         if not 0 <= self.shallow <= 1:

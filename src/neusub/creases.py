@@ -49,8 +49,10 @@ def crease_edges(
 ) -> Bool[ndarray, " nE"]:
     """Interior edges where the normals of the two faces differ by more than the angle; 0 degrees is flat.
 
-    A face without area has no normal and makes no crease.
+    A face without area has no normal and makes no crease.  Raises ValueError for an angle out of range.
     """
+    if not 0 <= angle_degrees <= 180:
+        raise ValueError(f"the crease angle is {angle_degrees}: take degrees from 0 to 180.")
     normals = unit_vectors(area_normals(topology.faces, vertices))
     left, right = (topology.edge_halfedges // 3).T
     first, second = normals[left], normals[right]

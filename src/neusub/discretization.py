@@ -15,12 +15,13 @@ from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from itertools import count
 from pathlib import Path
 from shutil import rmtree
 from typing import Any
 
 import numpy as np
-from torch.utils.data import IterableDataset
+from torch.utils.data import IterableDataset, get_worker_info
 
 from neusub.configuration import PairConfig
 from neusub.errors import DecimationError, NeusubError, PairFileError
@@ -261,8 +262,8 @@ class PairStream(IterableDataset):
     """Endless pairs of some fine meshes, made in the background while the training step before runs.
 
     sources: meshes, or files.  Pair k is of source k mod n; for the same seed the pairs are the same, in the same
-    order, whatever the number of workers.  ahead: pairs that are kept ready.  Sources that fail end the iteration with
-    their error.
+    order, whatever the number of workers, and of those of a DataLoader (batch_size=None), which share them.  ahead:
+    pairs that are kept ready.  Sources that fail end the iteration with their error.
     """
 
     def __init__(self, sources: Sequence[Mesh | str | Path], config: PairConfig | None = None, *,
@@ -281,14 +282,14 @@ class PairStream(IterableDataset):
         return make_pair(self.meshes[source], self.config, generator, f"{source}[{number}]")[0]
 
     def __iter__(self) -> Iterator[Pair]:
+        loader = get_worker_info()
+        numbers = count(0) if loader is None else count(loader.id, loader.num_workers)
         with ThreadPoolExecutor(self.workers) as pool:
-            ready = deque(pool.submit(self.make, number) for number in range(self.ahead))
-            number = self.ahead
+            ready = deque(pool.submit(self.make, next(numbers)) for _ in range(self.ahead))
             try:
                 while True:
                     yield ready.popleft().result()
-                    ready.append(pool.submit(self.make, number))
-                    number += 1
+                    ready.append(pool.submit(self.make, next(numbers)))
             finally:
                 for future in ready:
                     future.cancel()

@@ -72,6 +72,10 @@ class UnreferencedVertexError(MeshError):
     """A vertex that no face uses."""
 
 
+class TooLargeError(MeshError):
+    """A refinement that this machine's memory cannot hold."""
+
+
 class MeshFileError(NeusubError, OSError):
     """A file that cannot be read or written: missing, a folder, of unknown kind, truncated, without permission."""
 

@@ -99,6 +99,8 @@ def save_pairs(pairs: list[Pair], path: str | Path, header: dict) -> None:
 
 def read_header(path: str | Path) -> dict:
     """The JSON header of a pair file.  Raises PairFileError."""
+    if Path(path).is_dir():
+        raise PairFileError(f"{path} is a folder. Give its files, as neusub.generation.pair_files finds them.")
     try:
         with safe_open(path, framework="numpy") as file:
             header = json.loads((file.metadata() or {}).get("neusub", "{}"))

@@ -174,7 +174,7 @@ def _pbr(material: Material) -> Any:
     if material.color is not None:
         values["baseColorFactor"] = np.array(material.color)
     for role, _, content in material.textures:
-        if role == "map_Kd":
+        if role.split()[0] == "map_Kd":
             values["baseColorTexture"] = Image.open(io.BytesIO(content))
     for line in material.extra:
         key, _, value = line.partition(" ")

@@ -16,6 +16,7 @@ from __future__ import annotations
 import io
 import os
 import warnings
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,7 +24,7 @@ import numpy as np
 
 from neusub.errors import MeshFileError, NeusubError
 from neusub.files import replacing
-from neusub.mesh import Mesh
+from neusub.mesh import Material, Mesh
 from neusub.raw import RawMesh, triangulate, weld
 
 if TYPE_CHECKING:
@@ -81,6 +82,7 @@ def load(path: str | os.PathLike[str]) -> Mesh:
 def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> None:
     """Write the mesh, and its MTL and texture files beside it; each file appears whole or not at all.
 
+    A texture never takes the place of another picture: it is written as NAME_TEXTURE then, NAME being the mesh file's.
     Raises: MeshFileError for an unknown extension, a missing or unwritable folder, and, without `overwrite`, a file
     that exists.
     """
@@ -94,15 +96,30 @@ def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> No
     if path.exists() and not overwrite:
         raise MeshFileError(f"{path} exists. Allow overwriting, or give another name.")
     files = writer(mesh, path.stem)
-    main = files.pop(path.stem + path.suffix.lower())
+    own = (path.stem + path.suffix.lower(), f"{path.stem}.mtl")
+    others = [content for name, content in files.items() if name not in own and _differs(folder / name, content)]
+    if others:
+        files = writer(mesh.replace_materials(tuple(_renamed(m, others, path.stem) for m in mesh.materials)), path.stem)
+    main = files.pop(own[0])
     for name, content in files.items():
         target = folder / name
-        if target.exists() and target.read_bytes() == content:
+        if target.exists() and not _differs(target, content):
             continue
         if target.exists() and not overwrite:
             raise MeshFileError(f"{target} exists. Allow overwriting, or give another name.")
         _write_whole(target, content)
     _write_whole(path, main)
+
+
+def _differs(path: Path, content: bytes) -> bool:
+    """Whether there is a file with another content."""
+    return path.exists() and path.read_bytes() != content
+
+
+def _renamed(material: Material, pictures: list[bytes], prefix: str) -> Material:
+    """The material with other file names for some of its pictures."""
+    return replace(material, textures=tuple((role, f"{prefix}_{name}" if content in pictures else name, content)
+                                            for role, name, content in material.textures))
 
 
 def _write_whole(path: Path, content: bytes) -> None:

@@ -39,7 +39,8 @@ class Material:
     """How a group of faces looks.  Texture files are kept as they came, undecoded.
 
     color: linear factors r, g, b, a in [0, 1].  textures: (role, file name, bytes), the role being the word of an MTL
-    file ("map_Kd" is the base colour).  extra: further lines of the MTL file, word by word.
+    file ("map_Kd" is the base colour), with its options ("map_Kd -s 2 2 1").  extra: further lines of the MTL file,
+    word by word.
     """
 
     name: str = "material"
@@ -116,6 +117,12 @@ class Mesh:
         if "topology" in self.__dict__:  # the connectivity is the same one
             mesh.__dict__["topology"] = self.topology
         return mesh
+
+    def replace_materials(self, materials: tuple[Material, ...]) -> Mesh:
+        """The same mesh with other materials, as many.  Raises: ShapeError."""
+        if len(materials) != len(self.materials):
+            raise ShapeError(f"{len(materials)} materials for {len(self.materials)}: give one for each.")
+        return Mesh._trusted(**{**self._values(), "materials": tuple(materials)})
 
     def refined(
         self,

@@ -7,6 +7,7 @@ for OBJ here (`v` rows stay as they are, in their order) could not be kept.
 from __future__ import annotations
 
 import re
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -23,9 +24,17 @@ if TYPE_CHECKING:
 __all__ = ["formatted_rows", "parse_obj", "write_obj"]
 
 
+BOM = b"\xef\xbb\xbf"  # some editors put it before UTF-8
+UNNAMED = "default"  # material of faces that have none, where others have one
+# What may stand before the file name of a texture in an MTL file: -bm 0.5, -s 2 2 1, -clamp on, -imfchan r, ...
+TEXTURE_OPTIONS = re.compile(r"(?:-[a-z]+\s+(?:(?:on|off|[rgbmlz]|sphere|cube_\w+|[-+.\d][-+.\deE]*)\s+)+)+")
+
+
 def parse_obj(text: bytes, path: Path) -> RawMesh:
     """The mesh of an OBJ file.  Raises: MeshFileError for what is no number, IndexRangeError, each with the line."""
-    lines = _lines(text)
+    if text[:2] in (b"\xff\xfe", b"\xfe\xff"):
+        raise MeshFileError(f"{path} is in UTF-16. Save it as UTF-8, or as plain ASCII.")
+    lines = _lines(text.removeprefix(BOM))
     vertices, colors = _positions(lines, path)
     uv_lines = [line[3:] for line in lines if line[:3] == b"vt "]
     uv = _rows(uv_lines, 2, lines, b"vt", path) if uv_lines else None
@@ -59,7 +68,7 @@ def _lines(text: bytes) -> list[bytes]:
         text = text.replace(b"\t", b" ")
     lines = text.splitlines()
     if b"#" in text:
-        lines = [line.split(b"#", 1)[0] if b"#" in line and b"mtl" not in line else line for line in lines]
+        lines = [line.split(b" #" if b"mtl" in line else b"#", 1)[0] if b"#" in line else line for line in lines]
     if b"\n " in text or text[:1] == b" ":
         lines = [line.lstrip() for line in lines]
     return lines
@@ -155,7 +164,8 @@ def _face_states(raw: RawMesh, lines: list[bytes], at: ndarray, polygon: ndarray
     library: dict[str, Material] = {}
     for line in lines:
         if line.startswith(b"mtllib "):
-            library.update(_read_mtl(path.parent / line[7:].strip().decode(errors="replace"), raw.report))
+            for file in _libraries(path.parent, decoded(line[7:].strip())):
+                library.update(_read_mtl(file, raw.report))
     names, index = _states(lines, at, b"usemtl ")
     if names and len(polygon):
         raw.face_data["material"] = index[polygon]
@@ -169,11 +179,35 @@ def _face_states(raw: RawMesh, lines: list[bytes], at: ndarray, polygon: ndarray
 
 def _states(lines: list[bytes], at: ndarray, key: bytes) -> tuple[list[str], ndarray]:
     """The names that faces use in order of appearance, and which of them holds at each face line (-1: none yet)."""
-    rows = [i for i, line in enumerate(lines) if line.startswith(key)]
-    spelled = [lines[i][len(key) :].strip().decode(errors="replace") for i in rows]
+    rows = [i for i, line in enumerate(lines) if line.startswith(key) or line == key[:-1]]  # `g` alone has no name
+    spelled = [decoded(lines[i][len(key) :].strip()) for i in rows]
     numbers = {name: k for k, name in enumerate(dict.fromkeys(spelled))}
     number = np.array([-1] + [numbers[name] for name in spelled], dtype=np.int64)
     return list(numbers), number[np.searchsorted(np.array(rows, dtype=np.int64), at)]
+
+
+def decoded(text: bytes) -> str:
+    """UTF-8, or else Latin-1, in which any bytes are a text: names that differ stay different."""
+    try:
+        return text.decode()
+    except UnicodeDecodeError:
+        return text.decode("latin-1")
+
+
+def _libraries(folder: Path, names: str) -> list[Path]:
+    """The files of an `mtllib`: several, or one whose name has blanks."""
+    return [folder / name for name in ([names] if (folder / names).is_file() else names.split())]
+
+
+def _image(folder: Path, words: str) -> tuple[str, Path]:
+    """The options before a texture's file name, and the file."""
+    def found(name: str) -> Path:
+        return folder / name.strip().split("  ")[0].replace("\\", "/")
+
+    options = TEXTURE_OPTIONS.match(words)
+    if options is None or found(words).is_file():
+        return "", found(words)
+    return " " + options.group().strip(), found(words[options.end() :])
 
 
 def _read_mtl(path: Path, report: list[str]) -> dict[str, Material]:
@@ -181,22 +215,27 @@ def _read_mtl(path: Path, report: list[str]) -> dict[str, Material]:
         report.append(f"the material file {path.name} is missing; materials keep their names only")
         return {}
     materials: dict[str, Material] = {}
-    for block in re.split(r"^\s*newmtl\s+", path.read_text(errors="replace"), flags=re.MULTILINE)[1:]:
-        name, *body = [line.split("#")[0].strip() for line in block.splitlines()]
+    text = decoded(path.read_bytes().removeprefix(BOM))
+    for block in re.split(r"^\s*newmtl\s+", text, flags=re.MULTILINE)[1:]:
+        name, *body = [re.split(r"(?:^|\s)#", line)[0].strip() for line in block.splitlines()]
         color, alpha, textures, extra = None, 1.0, [], []
         for line in filter(None, body):
-            role, _, rest = line.partition(" ")
-            image = path.parent / rest.strip().split("  ")[0].replace("\\", "/")
+            role, rest = (*line.split(None, 1), "")[:2]
             if role == "Kd" and re.fullmatch(r"[\s\d.eE+-]+", rest) and len(rest.split()) >= 3:
                 color = tuple(float(x) for x in rest.split()[:3])
             elif role == "d" and re.fullmatch(r"[\d.eE+-]+", rest.strip()):
                 alpha = float(rest)
-            elif role.lower().startswith(("map_", "norm", "bump", "disp")) and image.is_file():
-                textures.append((role, image.name, image.read_bytes()))
+            elif role == "Tr" and re.fullmatch(r"[\d.eE+-]+", rest.strip()):
+                alpha = 1 - float(rest)
+            elif role.lower().startswith(("map_", "norm", "bump", "disp")):
+                options, image = _image(path.parent, rest)
+                if image.is_file():
+                    textures.append((role + options, image.name, image.read_bytes()))
+                else:
+                    extra.append(line)
+                    report.append(f"material {name}: no image at '{rest.strip()}'; the line is kept, no file is copied")
             else:
                 extra.append(line)
-                if role.lower().startswith("map_"):
-                    report.append(f"material {name}: no image at '{rest.strip()}'; the line is kept, no file is copied")
         rgba = None if color is None else (color[0], color[1], color[2], alpha)
         materials[name] = Material(name, rgba, tuple(textures), tuple(extra))
     return materials
@@ -205,10 +244,11 @@ def _read_mtl(path: Path, report: list[str]) -> dict[str, Material]:
 def write_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
     """The files of the mesh: `name`.obj, and `name`.mtl and textures where there are materials."""
     files: dict[str, bytes] = {}
+    names = _unique([*(material.name for material in mesh.materials), UNNAMED])
     parts = [b"# neusub\n"]
     if mesh.materials:
         parts.append(f"mtllib {name}.mtl\n".encode())
-        files.update(_mtl_files(mesh, name))
+        files.update(_mtl_files(mesh, name, names))
     rows = mesh.vertices if mesh.colors is None else np.concatenate([mesh.vertices, mesh.colors[:, :3]], axis=1)
     parts.append(formatted_rows(rows, "v" + " %r" * rows.shape[1] + "\n"))
     if mesh.uv is not None and mesh.uv_faces is not None:
@@ -217,7 +257,7 @@ def write_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
         row = "f %d/%d %d/%d %d/%d\n"
     else:
         corners, row = mesh.faces + 1, "f %d %d %d\n"
-    for header, start, stop in _runs(mesh):
+    for header, start, stop in _runs(mesh, names):
         parts.append(header + formatted_rows(corners[start:stop], row))
     return {f"{name}.obj": b"".join(parts), **files}
 
@@ -230,8 +270,19 @@ def formatted_rows(rows: ndarray, row: str, block: int = 65536) -> bytes:
     )
 
 
-def _runs(mesh: Mesh) -> list[tuple[bytes, int, int]]:
-    """Stretches of faces with one group and one material, each with the lines that announce them; order is kept."""
+def _unique(names: list[str]) -> list[str]:
+    """The names, numbered where there was one like it before."""
+    known: dict[str, None] = {}
+    for name in names:
+        fresh = (f"{name}_{k}" if k > 1 else name for k in count(1))
+        known[next(candidate for candidate in fresh if candidate not in known)] = None
+    return list(known)
+
+
+def _runs(mesh: Mesh, names: list[str]) -> list[tuple[bytes, int, int]]:
+    """Stretches of faces with one group and one material, each with the lines that announce them; order is kept.
+
+    names: of the materials, and one for faces without any."""
     n = len(mesh.faces)
     changed = np.zeros(n, dtype=bool)
     changed[0] = True
@@ -242,20 +293,21 @@ def _runs(mesh: Mesh) -> list[tuple[bytes, int, int]]:
         if values is not None and values.ndim == 1:
             changed[1:] |= values[1:] != values[:-1]
     starts = np.flatnonzero(changed)
-    runs = []
+    runs, dressed = [], False
     for start, stop in zip(starts, [*starts[1:], n]):
         header = "" if group is None else f"g {group[start]}\n"
-        if material is not None and material[start] >= 0:
-            header += f"usemtl {mesh.materials[material[start]].name}\n"
+        dressed |= material is not None and bool(material[start] >= 0)
+        if material is not None and dressed:  # a name holds until the next
+            header += f"usemtl {names[material[start]]}\n"
         runs.append((header.encode(), int(start), int(stop)))
     return runs
 
 
-def _mtl_files(mesh: Mesh, name: str) -> dict[str, bytes]:
+def _mtl_files(mesh: Mesh, name: str, names: list[str]) -> dict[str, bytes]:
     files: dict[str, bytes] = {}
     lines = []
-    for material in mesh.materials:
-        lines.append(f"newmtl {material.name}")
+    for own, material in zip(names, mesh.materials):
+        lines.append(f"newmtl {own}")
         if material.color is not None:
             lines += ["Kd " + " ".join(map(repr, material.color[:3])), f"d {material.color[3]!r}"]
         lines += material.extra
@@ -264,5 +316,7 @@ def _mtl_files(mesh: Mesh, name: str) -> dict[str, bytes]:
                 file_name = "_" + file_name
             files[file_name] = content
             lines.append(f"{role} {file_name}")
+    if (mesh.face_data.get("material", np.zeros(1)) < 0).any():
+        lines.append(f"newmtl {names[-1]}")
     files[f"{name}.mtl"] = ("\n".join(lines) + "\n").encode()
     return files

@@ -129,7 +129,7 @@ def _texture(mesh: Mesh) -> pyvista.Texture | None:
         return None
     for material in mesh.materials:
         for role, name, content in material.textures:
-            if role != "map_Kd":
+            if role.split()[0] != "map_Kd":
                 continue
             try:
                 image = np.asarray(Image.open(BytesIO(content)).convert("RGB"))

@@ -238,7 +238,7 @@ def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
     """
     index, faces, uv = split_at_seams(mesh)
     header = ["ply", "format binary_little_endian 1.0", "comment neusub"]
-    textures = [t for m in mesh.materials for t in m.textures if t[0] == "map_Kd"][:1]
+    textures = [t for m in mesh.materials for t in m.textures if t[0].split()[0] == "map_Kd"][:1]
     header += [f"comment TextureFile {t[1]}" for t in textures]
     columns = [("double", axis, mesh.vertices[index, k]) for k, axis in enumerate("xyz")]
     if uv is not None:
@@ -253,7 +253,7 @@ def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
     for _, column, values in columns:
         vertex[column] = values
     data = {k: v for k, v in mesh.face_data.items() if v.ndim == 1 and v.dtype.kind in "iuf" and " " not in k}
-    kinds = {k: "double" if v.dtype.kind == "f" else "int" for k, v in data.items()}
+    kinds = {k: {"f": "double"}.get(v.dtype.kind, "uchar" if v.dtype == np.uint8 else "int") for k, v in data.items()}
     header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
     header += [f"property {kinds[k]} {k}" for k in data]
     row = [("count", "u1"), ("corners", "<i4", (3,)), *((k, "<" + SIZES[kinds[k]]) for k in data)]

@@ -12,12 +12,13 @@ from typing import Any
 import numpy as np
 
 from neusub.errors import DecimationError
+from neusub.memory import check_fits
 from neusub.mesh import Mesh
 from neusub.selfparam import SelfParameterization, decimate
 from neusub.selfparam.criteria import refusals
 from neusub.selfparam.parameterization import Refinement, refinement
 
-__all__ = ["remesh"]
+__all__ = ["remesh", "with_signals"]
 
 FINEST = 3  # level to fit: each further one costs four times more, and the base has no more vertices to slide
 
@@ -44,6 +45,7 @@ def remesh(
     """
     if levels < 0:
         raise DecimationError(f"levels = {levels}: take 0 or more.")
+    check_fits(n_faces or 2 * (n_vertices or 0), levels)
     result = decimate(mesh, n_vertices=n_vertices, n_faces=n_faces, strategy=strategy, seed=seed)
     if not result.reached:
         asked = f"{n_vertices} vertices" if n_vertices else f"{n_faces} faces"
@@ -51,11 +53,11 @@ def remesh(
                               f"{asked} were asked for. Refused: {refusals(result.counts)}. Ask for more.")
     if fit:
         result = result.fitted(min(levels, FINEST))
-    return [on_surface(result, level) for level in range(levels + 1)]
+    return [with_signals(result, level) for level in range(levels + 1)]
 
 
-def on_surface(result: SelfParameterization, level: int) -> Mesh:
-    """One level of the refinement, with the original's signals."""
+def with_signals(result: SelfParameterization, level: int = 0) -> Mesh:
+    """One level of the coarse mesh's refinement on the original surface, with the original's signals."""
     fine = result.fine
     refined: Refinement = refinement(result.faces, len(result.decimated), level)
     under, _ = result.to_fine(refined.owner, refined.corners.mean(axis=1))

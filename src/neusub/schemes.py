@@ -29,6 +29,7 @@ from scipy.sparse import csc_array, csr_array
 
 from neusub.butterfly import butterfly_edges
 from neusub.creases import area_normals, crease_mask, marked_creases, refine_creases, unit_vectors
+from neusub.memory import check_fits
 from neusub.rings import Around, Block, grouped, sharp_count
 from neusub.topology import Topology, refined_topology
 
@@ -118,6 +119,7 @@ def subdivide_classic(
     """
     sharp = marked_creases(mesh.topology, mesh.vertices, creases, crease_angle)
     meshes, topology = [mesh], mesh.topology
+    check_fits(len(mesh.faces), levels + limit_levels)
     for level in range(levels + limit_levels):
         matrix = subdivision_matrix(topology, scheme if level < levels else "loop", weights=weights, creases=sharp)
         colors = None if mesh.colors is None else np.clip(matrix @ mesh.colors, 0, 1)

@@ -10,7 +10,7 @@ import copy
 import json
 from importlib import resources
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 import torch
@@ -20,13 +20,13 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import save_file
 
 from neusub import __version__
-from neusub.configuration import Architecture
+from neusub.configuration import Architecture, Input
 from neusub.creases import cut_open, marked_creases, refine_creases
 from neusub.crossing import uncrossed
 from neusub.errors import ModelError
 from neusub.files import replacing
 from neusub.flaps import level_flaps
-from neusub.memory import freed_memory_kept
+from neusub.memory import check_fits, freed_memory_kept
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivide_classic, subdivision_operator
@@ -39,7 +39,6 @@ DEFAULT_MODEL = "default"
 THIN = 1e-6  # an altitude, of the largest coordinate
 Scheme = Literal["neural", "loop", "butterfly", "midpoint"]
 Scale = Literal["edge", "box", "none"]
-Input = Literal["on_surface", "decimated"]
 
 
 def model_names() -> list[str]:
@@ -123,6 +122,7 @@ class Subdivider:
                                                    crease_angle=crease_angle)
         if levels < 1 or limit_levels < 0:
             raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: at least one level, and none below 0.")
+        check_fits(len(mesh.faces), levels + limit_levels)
         with freed_memory_kept(len(mesh.faces) * 4**levels):
             return self._levels(mesh, levels, limit_levels, scale, creases, crease_angle)
 
@@ -272,8 +272,13 @@ def subdivide(
     limit_levels: levels of Loop after that.  model, scale, input, device: of the neural scheme (`Subdivider`).  creases
     (edges as vertex pairs) or crease_angle (degrees): edges that stay sharp; midpoint has no use for them.
     uncross: no faces cross or turn over that do not in the midpoint refinement of the level before (`crossing.py`).
-    Raises ValueError for an unknown scheme, negative levels, or creases with midpoint.
+    Raises ValueError for an unknown scheme, negative levels, or creases with midpoint; TooLargeError for more levels
+    than fit into memory; TypeError for what is no mesh.
     """
+    if not isinstance(mesh, Mesh):
+        raise TypeError(f"mesh is a {type(mesh).__name__}: load a file with neusub.load, or build a neusub.Mesh.")
+    if scheme not in get_args(Scheme):
+        raise ValueError(f"unknown scheme {scheme!r}: take one of {', '.join(get_args(Scheme))}.")
     if levels < 0 or limit_levels < 0:
         raise ValueError(f"levels = {levels}, limit_levels = {limit_levels}: none may be below 0.")
     if scheme == "midpoint" and (creases is not None or crease_angle is not None):

@@ -83,6 +83,9 @@ class _Run:
         """Read the headers and the training pairs; seed weights and optimizer."""
         from lightning_fabric import Fabric
 
+        for given in (train_files, validation_files):
+            if isinstance(given, str) or not isinstance(given, Sequence):
+                raise PairFileError(f"pairs are given as a {type(given).__name__}. Give a list of pair files.")
         files = [*train_files, *validation_files]
         data = [{**read_header(f), "file": Path(f).name, "hash": file_hash(f)} for f in files]
         pairs = read_pairs(train_files, config)
@@ -311,8 +314,6 @@ def set_rate(optimizer, config: TrainingConfig, epoch: int) -> None:
     """The learning rate of an epoch."""
     cycle = config.epochs // config.cycles
     factors = {"constant": 1.0, "cosine": 0.5 * (1 + np.cos(np.pi * (epoch % cycle) / cycle))}
-    if config.schedule not in factors:
-        raise TrainingError(f"schedule {config.schedule!r} is not one of {', '.join(factors)}.")
     for group in optimizer.param_groups:
         group["lr"] = config.learning_rate * factors[config.schedule]
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from numbers import Integral
 from typing import Any, Literal
 
 import numpy as np
@@ -77,6 +78,8 @@ def checked_targets(mesh: Mesh, n_vertices: int | None, n_faces: int | None) -> 
     if (n_vertices is None) == (n_faces is None):
         raise DecimationError(f"n_vertices = {n_vertices}, n_faces = {n_faces}: give exactly one target.")
     for name, value, most in (("n_vertices", n_vertices, len(mesh.vertices)), ("n_faces", n_faces, len(mesh.faces))):
+        if value is not None and (isinstance(value, bool) or not isinstance(value, Integral)):
+            raise DecimationError(f"{name} = {value!r}: take a whole number.")
         if value is not None and not 1 <= value <= most:
             raise DecimationError(f"{name} = {value}: the mesh has {most}. Take a target from 1 to {most}.")
     return n_vertices or 0, n_faces or 0
