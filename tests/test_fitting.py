@@ -13,7 +13,7 @@ from neusub.errors import ParameterizationError
 from neusub.map_pictures import chart_faces
 from neusub.mesh import Mesh
 from neusub.metrics import triangle_quality
-from neusub.remeshing import on_surface, remesh
+from neusub.remeshing import remesh, with_signals
 from neusub.selfparam import STRATEGIES, SelfParameterization, decimate, fitting
 from neusub.selfparam.distances import squared_distance
 from neusub.selfparam.fitting import FOLD, prepare
@@ -36,7 +36,7 @@ def spiky() -> Mesh:
 def test_refinements_keep_closer_to_the_surface(strategy, levels):
     mesh = spiky()
     result = decimate(mesh, n_faces=300, strategy=strategy)
-    before, after = (distance(on_surface(r, levels), mesh) for r in (result, result.fitted(levels)))
+    before, after = (distance(with_signals(r, levels), mesh) for r in (result, result.fitted(levels)))
     assert after.mean < 0.95 * before.mean
     assert after.hausdorff < 0.95 * before.hausdorff
 
@@ -44,7 +44,7 @@ def test_refinements_keep_closer_to_the_surface(strategy, levels):
 def test_more_passes_bring_it_closer():
     mesh = spiky()
     result = decimate(mesh, n_faces=300)
-    none, one, five = (distance(on_surface(result.fitted(2, n), 2), mesh).mean for n in (0, 1, 5))
+    none, one, five = (distance(with_signals(result.fitted(2, n), 2), mesh).mean for n in (0, 1, 5))
     assert none > one > five
 
 
@@ -141,10 +141,10 @@ def test_the_boundary_stays(name):
 def test_a_part_of_the_samples_does_as_well(monkeypatch):
     mesh = spiky()
     result = decimate(mesh, n_faces=300, strategy="uniform")
-    plain, whole = (distance(on_surface(r, 1), mesh).mean for r in (result, result.fitted(1)))
+    plain, whole = (distance(with_signals(r, 1), mesh).mean for r in (result, result.fitted(1)))
     monkeypatch.setattr(fitting, "DENSE", 3)
     assert len(prepare(result, 2, *frame_of(mesh.vertices)).samples) == 3600 < len(mesh.vertices)
-    part = distance(on_surface(result.fitted(1), 1), mesh).mean
+    part = distance(with_signals(result.fitted(1), 1), mesh).mean
     assert max(whole, part) < 0.95 * plain
     assert whole != part
 

@@ -314,7 +314,7 @@ def test_training_and_validation_weigh_errors_alike(files, tmp_path, weighting, 
     assert rows[0]["validation_loss"] == pytest.approx(validate(network, batches, config), rel=1e-4)
 
 
-@pytest.mark.parametrize("name, value", [("width", 0), ("features", 0), ("vectors", -1), ("settle", float("nan")),
+@pytest.mark.parametrize("name, value", [("width", 0), ("features", -1), ("vectors", -1), ("settle", float("nan")),
                                          ("activation", "tanh")])
 def test_an_architecture_that_cannot_be_is_named(name, value):
     with pytest.raises(ValueError, match=f"{name} = .*: take"):

@@ -48,7 +48,7 @@ class Architecture:
 
     def __post_init__(self) -> None:
         check_bound(self.bound)
-        for name, least in (("width", 1), ("features", 1), ("vectors", 0), ("trained", 1), ("flat", 0), ("sharp", 0),
+        for name, least in (("width", 1), ("features", 0), ("vectors", 0), ("trained", 1), ("flat", 0), ("sharp", 0),
                             ("settle", 0)):
             if not getattr(self, name) >= least:
                 raise ValueError(f"{name} = {getattr(self, name)}: take at least {least}.")
