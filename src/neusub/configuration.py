@@ -121,7 +121,7 @@ PRESETS = {
     "paper": TrainingConfig(),
     "fast": TrainingConfig(batch=4, schedule="cosine", epochs=400),
     "default": TrainingConfig(batch=2, schedule="cosine", epochs=72, cycles=2, learning_rate=1e-3, levels=3,
-                              shallow=0.6, loss="surface", normals=0.03,
+                              shallow=0.6, loss="surface",
                               network=Architecture(48, 40, vectors=3, relative=True, residual=True, activation="silu",
                                                    turns=True, flat=0.3, sharp=0.03, bound=(0.5, 0.6)),
                               bound=(0.25, 0.6, 0.3), sharp=0.04, settle=0.2, crisp=True, unturned=True),
