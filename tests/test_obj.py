@@ -1,0 +1,114 @@
+"""OBJ and MTL as exporters write them; materials and textures that must not get into each other's way."""
+
+from __future__ import annotations
+
+import io
+
+import numpy as np
+import pytest
+from PIL import Image
+
+import shapes
+from neusub import errors
+from neusub.io import load, read, save
+from neusub.mesh import Material, Mesh
+from test_io import TRIANGLE, _picture, _written
+
+TWO_FACES = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n"
+LOWER, UPPER = "f 1/1 2/2 3/3\n", "f 1/1 3/3 4/2\n"
+
+
+def test_a_byte_order_mark_is_no_part_of_the_first_word(tmp_path):
+    mesh = load(_written(tmp_path, "a.obj", b"\xef\xbb\xbf" + (TRIANGLE + "f 1 2 3\n").encode()))
+    assert len(mesh.vertices) == 3
+    _written(tmp_path, "m.mtl", b"\xef\xbb\xbfnewmtl red\nKd 1 0 0\n")
+    mesh = load(_written(tmp_path, "b.obj", "\ufeffmtllib m.mtl\n" + TRIANGLE + "usemtl red\nf 1 2 3\n"))
+    assert mesh.materials == (Material("red", (1.0, 0.0, 0.0, 1.0)),)
+
+
+def test_utf_16_is_named(tmp_path):
+    with pytest.raises(errors.MeshFileError, match="UTF-16"):
+        read(_written(tmp_path, "a.obj", (TRIANGLE + "f 1 2 3\n").encode("utf-16")))
+
+
+def test_several_material_files_and_names_with_blanks(tmp_path):
+    for name, file in (("red", "a.mtl"), ("blue", "b.mtl"), ("green", "c d.mtl")):
+        _written(tmp_path, file, f"newmtl {name}\nKd\t0.5 0 0\n")
+    text = f"mtllib a.mtl b.mtl\nmtllib c d.mtl\n{TWO_FACES}usemtl red\n{LOWER}usemtl green\n{UPPER}"
+    mesh = load(_written(tmp_path, "m.obj", text))
+    assert [(m.name, m.color) for m in mesh.materials] == [(n, (0.5, 0.0, 0.0, 1.0)) for n in ("red", "green")]
+
+
+def test_names_that_differ_stay_different(tmp_path):
+    """Numbers after a #, and letters of Latin-1."""
+    names = ["a#1", "a#2"], ["rö", "rä"]
+    for pair, coding in zip(names, ("utf-8", "latin-1")):
+        mtl = "".join(f"newmtl {name}\nKd {k} 0 0 # shade\n" for k, name in enumerate(pair))
+        _written(tmp_path, "m.mtl", mtl.encode(coding))
+        text = f"mtllib m.mtl\n{TWO_FACES}usemtl {pair[0]} # the first\n{LOWER}usemtl {pair[1]}\n{UPPER}"
+        mesh = load(_written(tmp_path, "m.obj", text.encode(coding)))
+        assert [(m.name, m.color[0]) for m in mesh.materials] == [(pair[0], 0.0), (pair[1], 1.0)]
+
+
+def test_transparency_is_read_both_ways_round(tmp_path):
+    _written(tmp_path, "m.mtl", "newmtl a\nKd 1 0 0\nTr 0.25\nnewmtl b\nKd 1 0 0\nd 0.75\n")
+    mesh = load(_written(tmp_path, "m.obj", f"mtllib m.mtl\n{TWO_FACES}usemtl a\n{LOWER}usemtl b\n{UPPER}"))
+    assert [m.color for m in mesh.materials] == [(1.0, 0.0, 0.0, 0.75)] * 2
+    save(mesh, tmp_path / "n.obj")
+    assert "Tr" not in (tmp_path / "n.mtl").read_text()
+
+
+@pytest.mark.parametrize("kind", [".obj", ".glb", ".ply"])
+def test_textures_with_options_come_along(tmp_path, kind):
+    folder = tmp_path / "out"
+    folder.mkdir()
+    _written(tmp_path, "a b.png", _picture("red"))
+    _written(tmp_path, "m.mtl", "newmtl a\nmap_Kd -s 2 2 1 -clamp on a b.png\nmap_Bump -bm 0.5 a b.png\n")
+    mesh = load(_written(tmp_path, "m.obj", f"mtllib m.mtl\n{TWO_FACES}usemtl a\n{LOWER}{UPPER}"))
+    assert not mesh.load_report
+    save(mesh, folder / f"n{kind}")
+    if kind == ".obj":
+        assert "map_Kd -s 2 2 1 -clamp on a b.png\nmap_Bump -bm 0.5 a b.png" in (folder / "n.mtl").read_text()
+    (texture,) = [t for t in load(folder / f"n{kind}").materials[0].textures if t[0].startswith("map_Kd")]
+    assert Image.open(io.BytesIO(texture[2])).convert("RGB").getpixel((0, 0)) == (255, 0, 0)
+
+
+def test_a_group_without_a_name_ends_the_one_before(tmp_path):
+    mesh = load(_written(tmp_path, "m.obj", f"{TWO_FACES}g a\n{LOWER}g\n{UPPER}"))
+    assert mesh.face_data["group"].tolist() == ["a", ""]
+
+
+def test_materials_of_one_name_are_written_apart(tmp_path):
+    materials = tuple(Material("mat", (float(k), 0.0, 0.0, 1.0)) for k in range(2))
+    mesh = Mesh(*shapes.cube(), face_data={"material": np.arange(12) % 2}, materials=materials)
+    save(mesh, tmp_path / "a.obj")
+    back = load(tmp_path / "a.obj")
+    colors = [back.materials[k].color for k in back.face_data["material"]]
+    assert colors == [materials[k % 2].color for k in range(12)]
+
+
+def test_faces_without_material_stay_so_in_an_obj(tmp_path):
+    mesh = Mesh(*shapes.cube(), face_data={"material": np.arange(12) % 2 - 1},
+                materials=(Material("default", (1.0, 0.0, 0.0, 1.0)),))
+    save(mesh, tmp_path / "a.obj")
+    back = load(tmp_path / "a.obj")
+    colors = [None if k < 0 else back.materials[k].color for k in back.face_data["material"]]
+    assert colors == [None if k < 0 else (1.0, 0.0, 0.0, 1.0) for k in mesh.face_data["material"]]
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+@pytest.mark.parametrize("kind", [".obj", ".ply"])
+def test_a_texture_never_replaces_another_meshs(tmp_path, kind, overwrite):
+    for color in ("red", "green"):
+        material = Material("m", None, (("map_Kd", "texture.png", _picture(color)),))
+        mesh = Mesh(**shapes.uv_box(), face_data={"material": np.zeros(12, np.int64)}, materials=(material,))
+        save(mesh, tmp_path / f"{color}{kind}", overwrite=overwrite)
+    for color in ("red", "green"):
+        assert load(tmp_path / f"{color}{kind}").materials[0].textures[0][2] == _picture(color)
+
+
+def test_ply_keeps_colours_of_faces_as_bytes(tmp_path):
+    mesh = Mesh(*shapes.cube(), face_data={"red": np.arange(12, dtype=np.uint8)})
+    save(mesh, tmp_path / "a.ply")
+    assert b"property uchar red" in (tmp_path / "a.ply").read_bytes()
+    assert load(tmp_path / "a.ply").face_data["red"].tolist() == list(range(12))
