@@ -40,7 +40,7 @@ FORMAT = "neusub-pairs-1"
 SMOOTH = 1e-5  # distances well below this count squared in the loss "distance"; the unit box's side is 1
 FORGIVEN = 0.5  # of the error along the surface, in the loss "surface"
 SMOOTH_ANGLE = 0.05  # radians: errors of normals well below count squared
-TINY = 1e-20  # a squared area that is nothing; those of the unit box's triangles are above 1e-14
+TINY = 1e-20  # a square of a double area in the unit box that is as good as none
 INPUTS = ("on_surface", "decimated")
 
 
