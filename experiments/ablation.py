@@ -184,6 +184,7 @@ def main() -> None:
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=200)
     parser.add_argument("--seeds", type=int, default=3)
+    parser.add_argument("--only", nargs="+", choices=VARIANTS, default=VARIANTS, help="variants; all by default")
     parser.add_argument("--quick", action="store_true", help="6 pairs, 3 epochs, one seed; nothing is written")
     options = parser.parse_args()
     if options.quick:
@@ -193,7 +194,7 @@ def main() -> None:
     check_against_train(train, options.threads)
     batches = tuple([batch_pairs([pair]) for pair in group] for group in (train, validation))
     for seed in range(options.seed, options.seed + options.seeds):
-        for variant in VARIANTS:
+        for variant in options.only:
             key = options.source.name, options.pairs, options.epochs, variant, seed
             if not options.quick and key in map(key_of, entries()):
                 continue
