@@ -193,6 +193,28 @@ def test_a_checkpoint_from_before_an_option_came_in_is_resumed(files, tmp_path):
         train(*files, tmp_path / "run", replace(CONFIG, network=Architecture(flat=0.1)), resume=True)
 
 
+def test_a_run_can_start_from_a_model(files, tmp_path):
+    config = replace(CONFIG, network=PRESETS["default"].network, loss="surface", batch=2)
+    start = Subdivider.load("default", device="cpu")
+    still = train(*files, tmp_path / "still", replace(config, epochs=1, learning_rate=1e-12), start=start)
+    for name, weight in still.model.network.state_dict().items():
+        torch.testing.assert_close(weight, start.network.state_dict()[name], atol=1e-9, rtol=0)
+    origin = Subdivider.load(tmp_path / "still" / "model.safetensors").card["training"]["start"]
+    assert origin["scores"] == start.card["scores"]
+    assert set(still.model.card["licence"].split("; ")) == {"CC0", *start.card["licence"].split("; ")}
+
+    whole = train(*files, tmp_path / "whole", config, start=start)
+    train(*files, tmp_path / "parts", replace(config, epochs=2), start=start)
+    with pytest.raises(TrainingError, match="began with other weights"):
+        train(*files, tmp_path / "parts", config, resume=True)
+    parts = train(*files, tmp_path / "parts", config, start=start, resume=True)
+    assert whole.model.card["scores"] == parts.model.card["scores"]
+    ends = [load_file(tmp_path / run / "checkpoint.safetensors") for run in ("whole", "parts")]
+    assert all(torch.equal(ends[0][key], ends[1][key]) for key in ends[0])
+    with pytest.raises(TrainingError, match=r"another network: width 48, not 32, .*relative True, not False"):
+        train(*files, tmp_path / "other", CONFIG, start=start)
+
+
 def test_the_trained_model_settles_beyond_the_levels_of_its_training(files, tmp_path):
     config = replace(CONFIG, epochs=1, settle=0.1, bound=(0.2, 0.3, 0.4))
     plan = train(*files, tmp_path / "run", config).model.network.plan

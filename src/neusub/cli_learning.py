@@ -97,6 +97,7 @@ def train_command(
     *,
     validation: tuple[Path, ...] = (),
     preset: Literal["paper", "fast", "default", "default-decimated"] = "paper",
+    start: str | None = None,
     epochs: int | None = None,
     cycles: int | None = None,
     batch: int | None = None,
@@ -120,6 +121,8 @@ def train_command(
         preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs; default:
             the network that 'neusub subdivide' uses, which knows no scale and has bounds; default-decimated: the same
             for decimated vertices.
+        start: A model (name or file) whose weights the run begins with, in place of random ones: fine-tuning. Its
+            network is the preset's.
         epochs: Instead of the preset's; so are the following.
         cycles: How often the learning rate of a cosine schedule goes down and starts anew; a divisor of the epochs. A
             run goes on for another: so many times the epochs and the cycles, with --resume.
@@ -149,7 +152,7 @@ def train_command(
             training += files[0]
             held_out += [] if validation else files[1]
         config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
-        result = train_with_progress(training, held_out, out, config, resume)
+        result = train_with_progress(training, held_out, out, config, start, resume)
         return [f"best validation loss {result.best_loss:.6e} in epoch {result.best_epoch} of {result.epochs}, "
                 f"{result.seconds:.0f} s: {out / 'model.safetensors'}"]
 
@@ -167,13 +170,17 @@ def models_command() -> int:
     return 0
 
 
-def train_with_progress(training: list, held_out: list, out: Path, config: TrainingConfig, resume: bool):
+def train_with_progress(training: list, held_out: list, out: Path, config: TrainingConfig, start: str | None,
+                        resume: bool):
     """`training.train` with a bar that shows the losses and the time left."""
+    from neusub.subdivider import Subdivider
     from neusub.training import train
+
+    model = Subdivider.load(start, device="cpu") if start else None
 
     with progress_bar("epoch") as update:
         def on_epoch(row: dict) -> None:
             update(row["epoch"], config.epochs, f"validation {row['validation_loss']:.3e}, best {row['best_loss']:.3e} "
                    f"(epoch {row['best_epoch']})")
 
-        return train(training, held_out, out, config, resume=resume, on_epoch=on_epoch)
+        return train(training, held_out, out, config, start=model, resume=resume, on_epoch=on_epoch)

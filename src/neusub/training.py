@@ -15,6 +15,7 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, fields
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
@@ -77,9 +78,11 @@ class _Run:
     best: dict[str, Tensor]
     state: _State
     recorder: Recorder | None = None  # on a GPU
+    start: dict | None = None  # `origin_of` the model that the weights began as
 
     @classmethod
-    def begin(cls, train_files: Sequence[str | Path], validation_files: Sequence[str | Path], config: TrainingConfig):
+    def begin(cls, train_files: Sequence[str | Path], validation_files: Sequence[str | Path], config: TrainingConfig,
+              start: Subdivider | None = None):
         """Read the headers and the training pairs; seed weights and optimizer."""
         from lightning_fabric import Fabric
 
@@ -98,10 +101,13 @@ class _Run:
         fabric = Fabric(accelerator=resolve_device(config.device), devices=1, precision=config.precision)  # type: ignore[arg-type]
         torch.manual_seed(config.seed)
         network = NeuralSubdivision(config.network)
+        if start:
+            network.load_state_dict(weights_to_start(start, config))
         adam = torch.optim.Adam(network.parameters(), lr=config.learning_rate, fused=True)
         model, optimizer = fabric.setup(network, adam)
         recorder = Recorder(fabric.device) if recordable(config, fabric.device, len(pairs)) else None
-        return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State(), recorder)
+        return cls(config, data, pairs, fabric, model, optimizer, copied(model.state_dict()), _State(), recorder,
+                   origin_of(start) if start else None)
 
     def epoch(self, batches: _Batches, validation: list[Batch], each: Map) -> tuple[float, float]:
         """One epoch; its training and its validation loss, which is the training loss where nothing is held out."""
@@ -137,8 +143,9 @@ class _Run:
                 "data": [{key: entry[key] for key in keys if key in entry} for entry in self.data],
                 "epochs": self.state.epoch,
                 "seconds": round(self.state.seconds, 1),
+                **({"start": self.start} if self.start else {}),
             },
-            "licence": "; ".join(sorted({entry.get("licence", "not stated") for entry in self.data})),
+            "licence": licences([*self.data, *([self.start] if self.start else [])]),
             "scores": {"validation_loss": self.state.best_loss, "validation_epoch": self.state.best_epoch},
         }
         return Subdivider(network, card)
@@ -150,6 +157,7 @@ def train(
     out: str | Path,
     config: TrainingConfig | None = None,
     *,
+    start: Subdivider | None = None,
     resume: bool = False,
     on_epoch: Callable[[dict], None] | None = None,
 ) -> TrainingResult:
@@ -158,8 +166,10 @@ def train(
     Writes into `out`: model.safetensors (the best weights so far, with their card), checkpoint.safetensors, log.csv and
     TensorBoard events.
 
-    on_epoch is called with each row of the log.  Raises TrainingError for a folder that already holds a run (unless
-    resume), a checkpoint of another configuration or other data, or a loss that is not finite; PairFileError.
+    start: the model whose weights the run begins with, in place of random ones (fine-tuning); its network is the
+    config's.  on_epoch is called with each row of the log.  Raises TrainingError for a folder that already holds a run
+    (unless resume), a checkpoint of another configuration, start or other data, a start of another network, or a loss
+    that is not finite; PairFileError.
     """
     config, out = config or PRESETS["paper"], Path(out)
     checkpoint = out / "checkpoint.safetensors"
@@ -167,7 +177,7 @@ def train(
         raise TrainingError(f"{out} holds a run already. Pass resume (--resume) to go on with it, or another folder.")
     if config.threads:
         torch.set_num_threads(config.threads)
-    run = _Run.begin(train_files, validation_files, config)
+    run = _Run.begin(train_files, validation_files, config, start)
     if checkpoint.exists():
         load_checkpoint(checkpoint, run)
     if run.state.epoch > config.epochs:
@@ -201,6 +211,28 @@ def batch_of(pairs: list[Pair], config: TrainingConfig, device: torch.device) ->
 
 def loss_of_batch(batch: Batch, outputs: list[Tensor], config: TrainingConfig) -> Tensor:
     return batch.loss(outputs, config.loss, config.normals)
+
+
+def licences(origins: Iterable[dict]) -> str:
+    return "; ".join(sorted({part for entry in origins for part in entry.get("licence", "not stated").split("; ")}))
+
+
+def weights_to_start(start: Subdivider, config: TrainingConfig) -> dict[str, Tensor]:
+    """Raises TrainingError where they are of another network than the config's."""
+    plan, wanted = asdict(start.network.plan), asdict(config.network)
+    differing = [name for name in wanted if name not in (*FOR_USE, "trained") and plan[name] != wanted[name]]
+    if differing:
+        details = ", ".join(f"{name} {plan[name]}, not {wanted[name]}" for name in differing)
+        raise TrainingError(f"the model to start from is another network: {details}. Train with the preset or the "
+                            "architecture that it came from.")
+    return start.network.state_dict()
+
+
+def origin_of(start: Subdivider) -> dict:
+    """What a model's card and a checkpoint say of the model that a run began with: which weights, and how they came."""
+    content = b"".join(value.float().cpu().numpy().tobytes() for _, value in sorted(start.network.state_dict().items()))
+    known = {key: start.card[key] for key in ("licence", "sources", "scores", "training") if key in start.card}
+    return {"hash": sha256(content).hexdigest()[:16], **known}
 
 
 def make_recordable(batches: list[Batch]) -> None:
@@ -357,7 +389,8 @@ def save_checkpoint(path: Path, run: _Run) -> None:
     tensors |= {f"best.{key}": value for key, value in run.best.items()}
     for index, moments in run.optimizer.state_dict()["state"].items():
         tensors |= {f"adam.{index}.{key}": value for key, value in moments.items()}
-    header = {"config": asdict(run.config), "data": run.data, "state": asdict(run.state), "version": __version__}
+    header = {"config": asdict(run.config), "data": run.data, "start": run.start, "state": asdict(run.state),
+              "version": __version__}
     with replacing(path) as new:
         save_file({k: v.detach().cpu().contiguous().clone() for k, v in tensors.items()}, new,
                   metadata={"neusub": json.dumps(header)})
@@ -385,6 +418,8 @@ def load_checkpoint(path: Path, run: _Run) -> None:
                                 "options, or choose another folder.")
     if [entry["hash"] for entry in header["data"]] != [entry["hash"] for entry in run.data]:
         raise TrainingError(f"{path}: the run was begun on other pair files. Resume it with those.")
+    if header.get("start") != run.start:
+        raise TrainingError(f"{path}: the run began with other weights. Resume it with the same model to start from.")
     run.model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
     run.best = {k[5:]: v for k, v in tensors.items() if k.startswith("best.")}
     moments: dict[int, dict[str, Tensor]] = {}
