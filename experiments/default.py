@@ -6,8 +6,8 @@ surfaces, for both kinds of input.  Two levels; three on the finest of the shape
 
 MESHES is the folder that the files of recipes/default.json are relative to; the recipe names where each comes from and
 its licence.  A training of two cycles is followed by a short one in which the normals of the faces count, for
-smoothness; --start MODEL takes a model in place of the first.  Writes results/default-INPUT.json and, with --ship, the
-weights.  An interrupted run goes on.
+smoothness; --start MODEL takes a model in place of the first.  Writes results/default-INPUT.json (with --start,
+smooth-INPUT.json) and, with --ship, the weights.  An interrupted run goes on.
 """
 
 from __future__ import annotations
@@ -128,7 +128,7 @@ def main() -> None:
     result = train(training, validation, folder.with_name(f"{folder.name}-smooth"), replace(config, **SMOOTHING),
                    start=start, resume=True, on_epoch=show)
     origin = provenance(options)
-    name = f"default-{options.input}" + (f"-seed{options.seed}" if options.seed else "")
+    name = f"{'smooth' if options.start else 'default'}-{options.input}" + (f"-seed{options.seed}" if options.seed else "")
     write_results(name, {**origin, **training_scores(result), "start": start.card["scores"]})
     if options.ship:
         result.model.card = card_of(result.model.card, recipe, options.input)
