@@ -128,7 +128,8 @@ def main() -> None:
     result = train(training, validation, folder.with_name(f"{folder.name}-smooth"), replace(config, **SMOOTHING),
                    start=start, resume=True, on_epoch=show)
     origin = provenance(options)
-    name = f"{'smooth' if options.start else 'default'}-{options.input}" + (f"-seed{options.seed}" if options.seed else "")
+    seed = f"-seed{options.seed}" if options.seed else ""
+    name = f"{'smooth' if options.start else 'default'}-{options.input}{seed}"
     write_results(name, {**origin, **training_scores(result), "start": start.card["scores"]})
     if options.ship:
         result.model.card = card_of(result.model.card, recipe, options.input)
