@@ -74,6 +74,8 @@ def test_an_existing_file_needs_overwrite(ball, tmp_path, capsys):
     (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--levels=-1"), "levels = -1"),
     (("subdivide", "BALL", "-o", "x.obj", "--device", "nowhere"), "nowhere"),
     (("subdivide", "BALL", "-o", "x.obj", "--scheme", "midpoint", "--crease-angle", "30"), "creases"),
+    (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--model", "elephant"), "--model elephant is for networks"),
+    (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--input", "decimated"), "the scheme is loop"),
     (("render", "BALL", "-o", "x.obj"), ".png"),
     (("train", "absent.safetensors", "-o", "run"), "neusub pairs"),
     (("train", "absent.safetensors", "-o", "run", "--batch", "0"), "batch = 0"),
@@ -169,6 +171,11 @@ def test_pairs_are_imported_and_trained_from(elephant, tmp_path, capsys):
     assert status == 0
     assert "best validation loss" in out
     assert (tmp_path / "run" / "model.safetensors").exists()
+    again = ("train", tmp_path / "pairs" / "validation.safetensors", "-o", tmp_path / "tuned", "--epochs", 1, "--start")
+    assert neusub_command(capsys, *again, tmp_path / "run" / "model.safetensors")[0] == 0
+    status, _, err = neusub_command(capsys, *again[:3], tmp_path / "other", *again[4:], "default")
+    assert status == 1
+    assert "another network: width 48, not 32" in err
 
 
 def test_help_does_not_import_torch():

@@ -60,6 +60,9 @@ def subdivide_command(
         from neusub.io import KINDS, load, save
 
         check_free(targets, overwrite, KINDS)
+        for option, value in (("model", model), ("input", input)):
+            if value is not None and scheme != "neural":
+                raise ValueError(f"--{option} {value} is for networks, the scheme is {scheme}. Leave one of them out.")
 
         mesh = load(path)
         notes = [f"{path}: {line}" for line in mesh.load_report]
