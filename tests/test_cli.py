@@ -74,7 +74,7 @@ def test_an_existing_file_needs_overwrite(ball, tmp_path, capsys):
     (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--levels=-1"), "levels = -1"),
     (("subdivide", "BALL", "-o", "x.obj", "--device", "nowhere"), "nowhere"),
     (("subdivide", "BALL", "-o", "x.obj", "--scheme", "midpoint", "--crease-angle", "30"), "creases"),
-    (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--model", "elephant"), "--model elephant is for networks"),
+    (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--model", "bunny"), "--model bunny is for networks"),
     (("subdivide", "BALL", "-o", "x.obj", "--scheme", "loop", "--input", "decimated"), "the scheme is loop"),
     (("render", "BALL", "-o", "x.obj"), ".png"),
     (("train", "absent.safetensors", "-o", "run"), "neusub pairs"),
