@@ -3,7 +3,8 @@
     python -m experiments smoothness
 
 Two levels of each scheme and of the shipped weights.  A fold is an edge whose faces turn by more than 120 degrees; the
-coarse meshes have some.  The ring is a torus: its own angles are given for the refinement's vertices moved onto it.
+coarse meshes have some.  The ring is a torus: its own angles are given for the refinement's vertices moved onto it,
+and how far the faces' normals are from its own, in degrees.
 Writes results/smoothness.json.
 """
 
@@ -29,12 +30,17 @@ def angles(mesh: neusub.Mesh) -> np.ndarray:
     return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
-def on_torus(mesh: neusub.Mesh) -> neusub.Mesh:
-    """The same faces, their vertices moved to the nearest point of the torus that the ring was cut from."""
-    around = mesh.vertices * [1, 1, 0]
+def torus_at(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Of the torus that the ring was cut from: its points nearest to some, and its unit normals there."""
+    around = points * [1, 1, 0]
     centre = around / np.linalg.norm(around, axis=1, keepdims=True)
-    across = mesh.vertices - centre
-    return mesh.replace_vertices(centre + TUBE * across / np.linalg.norm(across, axis=1, keepdims=True))
+    normals = (points - centre) / np.linalg.norm(points - centre, axis=1, keepdims=True)
+    return centre + TUBE * normals, normals
+
+
+def on_torus(mesh: neusub.Mesh) -> neusub.Mesh:
+    """The same faces, their vertices moved to the torus."""
+    return mesh.replace_vertices(torus_at(mesh.vertices)[0])
 
 
 def numbers_of(mesh: neusub.Mesh, name: str, truth: neusub.Mesh | None) -> dict:
@@ -42,7 +48,10 @@ def numbers_of(mesh: neusub.Mesh, name: str, truth: neusub.Mesh | None) -> dict:
     numbers = {"mean": float(degrees.mean()), "median": float(np.median(degrees)), "folds": int((degrees > FOLD).sum())}
     if name == "ring":
         exact = on_torus(mesh)
-        numbers |= {"mean_on_the_torus": float(angles(exact).mean()),
+        wanted = torus_at(mesh.vertices[mesh.faces].mean(axis=1))[1]
+        cosine = (face_normals(mesh) * wanted).sum(axis=1).clip(-1, 1)
+        numbers |= {"normals_off_the_torus": float(np.degrees(np.arccos(cosine)).mean()),
+                    "mean_on_the_torus": float(angles(exact).mean()),
                     "distance_to_the_torus": float(np.linalg.norm(mesh.vertices - exact.vertices, axis=1).mean())}
     if truth is not None:
         numbers["H"], numbers["M"] = score(mesh, truth)
