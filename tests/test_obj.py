@@ -31,6 +31,14 @@ def test_utf_16_is_named(tmp_path):
         read(_written(tmp_path, "a.obj", (TRIANGLE + "f 1 2 3\n").encode("utf-16")))
 
 
+def test_colours_that_some_vertices_lack_are_left_out_and_reported(tmp_path):
+    coloured = TRIANGLE.replace("\n", " 1 0 0\n")
+    assert load(_written(tmp_path, "a.obj", coloured + "f 1 2 3\n")).colors is not None
+    mesh = load(_written(tmp_path, "b.obj", coloured.replace(" 1 0 0\n", "\n", 1) + "f 1 2 3\n"))
+    assert mesh.colors is None
+    assert mesh.load_report == ("left out the colours: 1 of 3 vertices have none",)
+
+
 def test_several_material_files_and_names_with_blanks(tmp_path):
     for name, file in (("red", "a.mtl"), ("blue", "b.mtl"), ("green", "c d.mtl")):
         _written(tmp_path, file, f"newmtl {name}\nKd\t0.5 0 0\n")

@@ -26,6 +26,7 @@ __all__ = ["formatted_rows", "parse_obj", "write_obj"]
 
 BOM = b"\xef\xbb\xbf"  # some editors put it before UTF-8
 UNNAMED = "default"  # material of faces that have none, where others have one
+COLOURED = {6, 7}  # numbers of a vertex with a colour
 # What may stand before the file name of a texture in an MTL file: -bm 0.5, -s 2 2 1, -clamp on, -imfchan r, ...
 TEXTURE_OPTIONS = re.compile(r"(?:-[a-z]+\s+(?:(?:on|off|[rgbmlz]|sphere|cube_\w+|[-+.\d][-+.\deE]*)\s+)+)+")
 
@@ -35,7 +36,7 @@ def parse_obj(text: bytes, path: Path) -> RawMesh:
     if text[:2] in (b"\xff\xfe", b"\xfe\xff"):
         raise MeshFileError(f"{path} is in UTF-16. Save it as UTF-8, or as plain ASCII.")
     lines = _lines(text.removeprefix(BOM))
-    vertices, colors = _positions(lines, path)
+    vertices, colors, uncoloured = _positions(lines, path)
     uv_lines = [line[3:] for line in lines if line[:3] == b"vt "]
     uv = _rows(uv_lines, 2, lines, b"vt", path) if uv_lines else None
     at = np.array([i for i, line in enumerate(lines) if line[:2] == b"f "], dtype=np.int64)
@@ -54,6 +55,8 @@ def parse_obj(text: bytes, path: Path) -> RawMesh:
     raw = RawMesh(vertices, corners[triangles], colors=colors)
     if is_textured:
         raw.uv, raw.uv_faces = uv, uv_corners[triangles]
+    if uncoloured:
+        raw.report.append(f"left out the colours: {uncoloured} of {len(vertices)} vertices have none")
     if (counts > 3).any():
         raw.report.append(f"cut {(counts > 3).sum()} polygons of more than three corners into triangles")
     _face_states(raw, lines, at, polygon, path)
@@ -79,16 +82,18 @@ def _join_continued(match: re.Match[bytes]) -> bytes:
     return re.sub(rb"\\\r?\n", b" ", block) + b"\n" * (block.count(b"\n"))
 
 
-def _positions(lines: list[bytes], path: Path) -> tuple[ndarray, ndarray | None]:
+def _positions(lines: list[bytes], path: Path) -> tuple[ndarray, ndarray | None, int]:
+    """Positions, colours if all vertices have one, and how many have none where others have."""
     rows = [line[2:] for line in lines if line[:2] == b"v "]
     if not rows:
-        return np.zeros((0, 3)), None
-    widths = {len(row.split()) for row in rows}
-    if widths <= {6, 7}:
+        return np.zeros((0, 3)), None, 0
+    widths = [len(row.split()) for row in rows]
+    if set(widths) <= COLOURED:
         values = _rows(rows, min(widths), lines, b"v", path)
         colors = values[:, -3:]
-        return values[:, :3].copy(), colors / 255.0 if colors.max() > 1.0 else colors.copy()
-    return _rows(rows, 3, lines, b"v", path), None
+        return values[:, :3].copy(), colors / 255.0 if colors.max() > 1.0 else colors.copy(), 0
+    without = sum(width not in COLOURED for width in widths)
+    return _rows(rows, 3, lines, b"v", path), None, without if without < len(rows) else 0
 
 
 def _rows(rows: list[bytes], width: int, lines: list[bytes], key: bytes, path: Path) -> ndarray:
