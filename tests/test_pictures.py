@@ -59,3 +59,9 @@ def test_nothing_is_left_behind_by_a_failure(tmp_path):
     with pytest.raises(ValueError, match="titles"):
         neusub.render(ball(), tmp_path / "picture.png", titles=["a", "b"])
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_picture_says_nothing_where_there_is_no_display(tmp_path, capfd, monkeypatch):
+    monkeypatch.delenv("DISPLAY", raising=False)
+    neusub.render(ball(), tmp_path / "one.png", panel=(100, 100))
+    assert capfd.readouterr() == ("", "")

@@ -13,7 +13,7 @@ from neusub.errors import ParameterizationError
 from neusub.files import replacing
 from neusub.mesh import Mesh
 from neusub.metrics import face_normals, triangle_quality
-from neusub.pictures import CAMERA, EDGE, aim_camera
+from neusub.pictures import CAMERA, EDGE, aim_camera, off_screen
 from neusub.selfparam.mapping import BEFORE, MADE, UV
 from neusub.selfparam.parameterization import SelfParameterization, refinement, weighted
 from neusub.topology import build_topology
@@ -179,8 +179,7 @@ def surface_picture(
     data.cell_data["color"] = surface.colors
     look: dict[str, Any] = {"show_edges": wireframe, "edge_color": EDGE, "line_width": 2, "ambient": 0.4,
                             "diffuse": 0.65, "specular": 0.05}
-    plotter = pyvista.Plotter(off_screen=True, window_size=[2 * n for n in view.panel])  # reduced below: smooth edges
-    try:
+    with off_screen(*(2 * n for n in view.panel)) as plotter:  # reduced below: smooth edges
         plotter.add_mesh(data, scalars="color", rgb=True, **look)
         if lines is not None:
             n, steps, _ = lines.shape
@@ -190,8 +189,6 @@ def surface_picture(
         plotter.set_background("white")  # type: ignore[arg-type]
         aim_camera(plotter, view.frame, view.camera, view.up, view.panel)
         picture = Image.fromarray(np.asarray(plotter.screenshot(return_img=True)))
-    finally:
-        plotter.close()
     return np.asarray(picture.reduce(2).convert("RGB"))
 
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import closing, contextmanager
 from io import BytesIO
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -45,8 +46,6 @@ def render(
     elsewhere has its own.  Raises MeshFileError where the file cannot be written or a texture not read; ValueError for
     no meshes, titles of another number, or a camera along `up`.
     """
-    import pyvista
-
     meshes = [meshes] if isinstance(meshes, Mesh) else list(meshes)
     if not meshes or (titles is not None and len(titles) != len(meshes)):
         raise ValueError(f"{len(meshes)} meshes and {len(titles or [])} titles: give at least one mesh, a title each.")
@@ -60,9 +59,7 @@ def render(
     errors = [None if reference is None else _errors(mesh, reference) for mesh in meshes]
     top = max((float(np.percentile(error, 99)) for error in errors if error is not None), default=0.0)
     with replacing(path) as new:
-        plotter = pyvista.Plotter(off_screen=True, shape=(rows, columns), border=False,
-                                  window_size=[panel[0] * columns, panel[1] * rows])
-        try:
+        with off_screen(panel[0] * columns, panel[1] * rows, shape=(rows, columns), border=False) as plotter:
             for k, (mesh, error) in enumerate(zip(meshes, errors)):
                 plotter.subplot(k // columns, k % columns)
                 _draw(plotter, mesh, error, top, smooth, wireframe)
@@ -71,10 +68,23 @@ def render(
                 first = meshes[k - k % columns]
                 aim_camera(plotter, first if _overlap(first, mesh) else mesh, camera, up, panel)
             picture = plotter.screenshot(return_img=True)
-        finally:
-            plotter.close()
         _write_png(np.asarray(picture), new, top, bar_height)
     return Path(path)
+
+
+@contextmanager
+def off_screen(width: int, height: int, **options: Any) -> Iterator[pyvista.Plotter]:
+    """A plotter that needs no display.  Where there is none VTK warns, before it takes another way to draw."""
+    import pyvista
+    from vtkmodules.vtkCommonCore import vtkLogger
+
+    verbosity = vtkLogger.GetCurrentVerbosityCutoff()
+    vtkLogger.SetStderrVerbosity(vtkLogger.VERBOSITY_ERROR)
+    try:
+        with closing(pyvista.Plotter(off_screen=True, window_size=[width, height], **options)) as plotter:
+            yield plotter
+    finally:
+        vtkLogger.SetStderrVerbosity(verbosity)
 
 
 def _errors(mesh: Mesh, reference: Mesh) -> np.ndarray:
