@@ -18,7 +18,7 @@ import json
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
-from typing import NamedTuple
+from typing import NamedTuple, get_args
 
 import numpy as np
 import torch
@@ -28,6 +28,7 @@ from safetensors import SafetensorError, safe_open
 from safetensors.numpy import save_file
 
 from neusub import __version__, bounds
+from neusub.configuration import Input
 from neusub.creases import area_normals, unit_vectors
 from neusub.errors import PairFileError
 from neusub.files import replacing
@@ -41,7 +42,6 @@ SMOOTH = 1e-5  # distances well below this count squared in the loss "distance";
 FORGIVEN = 0.5  # of the error along the surface, in the loss "surface"
 SMOOTH_ANGLE = 0.05  # radians: errors of normals well below count squared
 TINY = 1e-20  # a square of a double area in the unit box that is as good as none
-INPUTS = ("on_surface", "decimated")
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,7 +67,7 @@ class Pair:
         if input == "on_surface":
             return self.targets[: self.level_sizes[0]]
         if input != "decimated":
-            raise PairFileError(f"input {input!r} is not a kind of input. Use one of {', '.join(INPUTS)}.")
+            raise PairFileError(f"input {input!r} is not a kind of input. Use one of {', '.join(get_args(Input))}.")
         if self.decimated is None:
             raise PairFileError(f"pair {self.name!r} has no decimated positions. Train with input='on_surface', "
                                 "or make the pairs again with 'neusub pairs'.")
