@@ -211,6 +211,9 @@ def test_a_run_can_start_from_a_model(files, tmp_path):
     assert whole.model.card["scores"] == parts.model.card["scores"]
     ends = [load_file(tmp_path / run / "checkpoint.safetensors") for run in ("whole", "parts")]
     assert all(torch.equal(ends[0][key], ends[1][key]) for key in ends[0])
+    again = train(*files, tmp_path / "again", replace(config, epochs=1), start=still.model)  # with its card in Python
+    assert train(*files, tmp_path / "again", replace(config, epochs=2), start=still.model, resume=True).epochs == 2
+    assert again.model.card["training"]["start"]["training"]["start"]["hash"] == origin["hash"]
     with pytest.raises(TrainingError, match=r"another network: width 48, not 32, .*relative True, not False"):
         train(*files, tmp_path / "other", CONFIG, start=start)
 

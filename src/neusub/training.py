@@ -418,7 +418,7 @@ def load_checkpoint(path: Path, run: _Run) -> None:
                                 "options, or choose another folder.")
     if [entry["hash"] for entry in header["data"]] != [entry["hash"] for entry in run.data]:
         raise TrainingError(f"{path}: the run was begun on other pair files. Resume it with those.")
-    if header.get("start") != run.start:
+    if (header.get("start") or {}).get("hash") != (run.start or {}).get("hash"):
         raise TrainingError(f"{path}: the run began with other weights. Resume it with the same model to start from.")
     run.model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})
     run.best = {k[5:]: v for k, v in tensors.items() if k.startswith("best.")}
