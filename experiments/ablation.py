@@ -18,6 +18,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import torch
 from PIL import Image
 
 import neusub
@@ -68,7 +69,7 @@ def trained(variant: str, seed: int, batches: tuple[list[Batch], list[Batch]], o
 
 def check_against_train(pairs: list[Pair], threads: int) -> None:
     """The loop here gives the losses of `neusub.train`, bit for bit; raises RuntimeError where it does not."""
-    pairs, config, rows = pairs[:3], TrainingConfig(epochs=2, threads=threads), []
+    pairs, config, rows = pairs[:3], TrainingConfig(epochs=2, threads=threads, device="cpu"), []
     with tempfile.TemporaryDirectory() as folder:
         file = Path(folder) / "pairs.safetensors"
         save_pairs(pairs, file, {})
@@ -79,13 +80,18 @@ def check_against_train(pairs: list[Pair], threads: int) -> None:
         raise RuntimeError(f"losses {here.tolist()} are not those of neusub.train.")
 
 
+def device_name(device: torch.device) -> str:
+    return torch.cuda.get_device_name(device) if device.type == "cuda" else device.type
+
+
 def entry_of(variant: str, seed: int, result: Fit, options: argparse.Namespace) -> dict:
     """What is kept of a training: errors of each level in the best epoch, and curves of a few points."""
     epochs = np.unique(np.linspace(1, options.epochs, min(POINTS, options.epochs)).round().astype(int))
     levels = {f"level {k}": [float(f"{value:.4g}") for value in column[epochs - 1]]
               for k, column in enumerate(result.errors.T)}
     return {"variant": variant, "seed": seed, "pairs": options.pairs, "epochs": options.epochs,
-            "source": options.source.name, "cpu_seconds": round(result.seconds), "best_epoch": result.best_epoch,
+            "source": options.source.name, "device": device_name(options.device), "cpu_seconds": round(result.seconds),
+            "best_epoch": result.best_epoch,
             "best_errors": [float(f"{value:.6g}") for value in result.errors[result.best_epoch - 1]],
             "curve": {"epoch": epochs.tolist(), **levels},
             **{key: value for key, value in provenance(options).items() if key != "seed"}}
@@ -126,9 +132,10 @@ def summaries(known: list[dict]) -> dict[str, dict]:
             chosen = [entry for entry in known if key_of(entry)[:4] == (*setting, variant)]
             if chosen:
                 errors = np.array([entry["best_errors"] for entry in chosen])
+                cpu = [entry["cpu_seconds"] for entry in chosen if entry.get("device", "cpu") == "cpu"]
                 rows[variant] = {"seeds": len(chosen), "levels": errors.mean(axis=0).tolist(),
                                  "sum": float(errors.sum(axis=1).mean()), "deviation": float(errors.sum(axis=1).std()),
-                                 "cpu_seconds": float(np.mean([entry["cpu_seconds"] for entry in chosen]))}
+                                 "cpu_seconds": float(np.mean(cpu)) if cpu else None}
     return out
 
 
@@ -185,6 +192,7 @@ def main() -> None:
     parser.add_argument("--epochs", type=int, default=200)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--only", nargs="+", choices=VARIANTS, default=VARIANTS, help="variants; all by default")
+    parser.add_argument("--device", type=torch.device, default="cpu", help="where to train: cpu or cuda")
     parser.add_argument("--quick", action="store_true", help="6 pairs, 3 epochs, one seed; nothing is written")
     options = parser.parse_args()
     if options.quick:
@@ -192,7 +200,7 @@ def main() -> None:
     train, validation = pairs_of(options)
     options.pairs = len(train)
     check_against_train(train, options.threads)
-    batches = tuple([batch_pairs([pair]) for pair in group] for group in (train, validation))
+    batches = tuple([batch_pairs([pair], device=options.device) for pair in group] for group in (train, validation))
     for seed in range(options.seed, options.seed + options.seeds):
         for variant in options.only:
             key = options.source.name, options.pairs, options.epochs, variant, seed

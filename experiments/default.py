@@ -5,21 +5,22 @@ surfaces, for both kinds of input.  Two levels; three on the finest of the shape
     python -m experiments default MESHES --input decimated --ship
 
 MESHES is the folder that the files of recipes/default.json are relative to; the recipe names where each comes from and
-its licence.  A training of two cycles is followed by a short one in which the normals of the faces count, for
-smoothness; --start MODEL takes a model in place of the first.  Writes results/default-INPUT.json (with --start,
-smooth-INPUT.json) and, with --ship, the weights.  An interrupted run goes on.
+its licence.  A training of two cycles is followed by a short one for smoothness: the normals of the faces count, and
+closed surfaces over even grids are among the pairs.  --start MODEL takes a model in place of the first.  Writes
+results/default-INPUT.json (with --start, smooth-INPUT.json) and, with --ship, the weights.  An interrupted run goes on.
 """
 
 from __future__ import annotations
 
 import json
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
 import neusub
-from experiments.analytic import analytic_pairs
+from experiments.analytic import analytic_pairs, even_pairs
 from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
 from experiments.sources import bent, solid, stretched
 from neusub import PRESETS, PairConfig, make_pairs, train
@@ -78,12 +79,12 @@ def pair_files(recipe: dict, meshes: Path, folder: Path) -> tuple[list[Path], li
     return training, validation
 
 
-def closed_form_files(recipe: dict, folder: Path) -> list[Path]:
+def closed_form_files(plans: list[dict], folder: Path, kind: str, pairs_of: Callable) -> list[Path]:
     """Pairs of surfaces of closed form; their coarse vertices lie on them, so they are for that kind of input only."""
     files = []
-    for number, wanted in enumerate(recipe["closed_form"]):
-        files.append(folder / f"analytic-{number}-train.safetensors")
-        save_pairs(analytic_pairs(wanted["pairs"], wanted["seed"], wanted["levels"]), files[-1],
+    for number, wanted in enumerate(plans):
+        files.append(folder / f"{kind}-{number}-train.safetensors")
+        save_pairs(pairs_of(wanted["pairs"], wanted["seed"], wanted["levels"]), files[-1],
                    {"split": "train", "source": "experiments/analytic.py", "licence": "MIT", "seed": wanted["seed"]})
     return files
 
@@ -117,16 +118,19 @@ def main() -> None:
     parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
     options = parser.parse_args()
     recipe = json.loads((HERE / "recipes" / "default.json").read_text())
-    training, validation = pair_files(recipe, options.meshes, options.runs / "default-pairs")
+    pairs = options.runs / "default-pairs"
+    training, validation = pair_files(recipe, options.meshes, pairs)
+    even = []
     if options.input == "on_surface":
-        training += closed_form_files(recipe, options.runs / "default-pairs")
+        training += closed_form_files(recipe["closed_form"], pairs, "analytic", analytic_pairs)
+        even = closed_form_files(recipe["even_grids"], pairs, "even", even_pairs)
     config = replace(PRESETS[NAMES[options.input]], epochs=options.epochs, cycles=options.cycles,
                      seed=options.seed, threads=options.threads)
     folder = options.runs / f"default-{options.input}-{options.seed}"
     start = neusub.Subdivider.load(options.start, device="cpu") if options.start else train(
         training, validation, folder, config, resume=True, on_epoch=show).model
-    result = train(training, validation, folder.with_name(f"{folder.name}-smooth"), replace(config, **SMOOTHING),
-                   start=start, resume=True, on_epoch=show)
+    result = train([*training, *even], validation, folder.with_name(f"{folder.name}-smooth"),
+                   replace(config, **SMOOTHING), start=start, resume=True, on_epoch=show)
     origin = provenance(options)
     seed = f"-seed{options.seed}" if options.seed else ""
     name = f"{'smooth' if options.start else 'default'}-{options.input}{seed}"

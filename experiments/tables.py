@@ -176,7 +176,8 @@ def ablation(setting: str = "16 pairs, 40 epochs") -> str:
         return f"{1e6 * value:.{4 if value < 1e-8 else 2 if value < 1e-5 else 1 if value < 1e-4 else 0}f}"
 
     rows = [[names.get(variant, variant), str(row["seeds"]), *map(digits, (*row["levels"], row["sum"])),
-             digits(row["deviation"]) if row["seeds"] > 1 else "", f"{row['cpu_seconds']:.0f}"]
+             digits(row["deviation"]) if row["seeds"] > 1 else "",
+             f"{row['cpu_seconds']:.0f}" if row["cpu_seconds"] else ""]
             for variant, row in data.items()]
     return markdown(["variant", "seeds", "level 0", "level 1", "level 2", "sum", "spread of the sum",
                      "seconds of one core"], rows)

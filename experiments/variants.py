@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import copy
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
 
@@ -25,7 +25,8 @@ from neusub.frames import edge_vectors, in_frames, local_frames, sizes, squared_
 from neusub.generation import Batch, Pair
 from neusub.map_pictures import Surface, View, surface_picture
 from neusub.network import HalfFlapMLP, NeuralSubdivision, Values
-from neusub.training import epoch_order, set_rate
+from neusub.recording import Recorder, copy_to
+from neusub.training import epoch_order, make_recordable, set_rate
 
 CLAY = (223, 227, 234)
 
@@ -233,37 +234,56 @@ class LastLevel(Batch):
 
 def fit(build: Callable[[], NeuralSubdivision], train: Sequence[Batch], validation: Sequence[Batch],
         config: TrainingConfig) -> Fit:
-    """Train on one batch a step, in the order of `neusub.train`."""
+    """Train on one batch a step, in the order of `neusub.train`, on the batches' device."""
     torch.set_num_threads(config.threads or torch.get_num_threads())
     torch.manual_seed(config.seed)
-    model = build()
-    adam = torch.optim.Adam(model.parameters(), lr=config.learning_rate, fused=True)
+    device = train[0].positions.device
+    model = build().to(device)
+    weights = list(model.parameters())
+    adam = torch.optim.Adam(weights, lr=config.learning_rate, fused=True)
+    run = working(device)
+    make_recordable([*train, *validation])
+    for weight in weights:
+        weight.grad = torch.zeros_like(weight)
+    found = torch.zeros(1 + len(validation[0].weights), device=device)  # a loss, and the errors of the levels
+
+    def gradients(batch: Batch) -> tuple[Tensor, ...]:
+        return torch.autograd.grad(batch.loss(model(batch.positions, batch.levels)), weights)
+
+    def validated(batch: Batch) -> list[Tensor]:
+        outputs = model(batch.positions, batch.levels)
+        return [torch.stack([batch.loss(outputs), *level_errors(batch, outputs)])]
+
     losses, errors, best = [], [], copy.deepcopy(model.state_dict())
     began = time.process_time()
     for epoch in range(config.epochs):
         set_rate(adam, config, epoch)
         for k in epoch_order(len(train), config.seed, epoch):
-            adam.zero_grad(set_to_none=True)
-            train[k].loss(model(train[k].positions, train[k].levels)).backward()
+            run(("step", k), partial(gradients, train[k]), [weight.grad for weight in weights])
             adam.step()
-        loss, levels = validated(model, validation)
+        with torch.no_grad():
+            rows = [run(("validation", k), partial(validated, batch), [found]).tolist()
+                    for k, batch in enumerate(validation)]
+        loss, *levels = np.mean(rows, axis=0)
         if loss < min(losses, default=np.inf):
             best = copy.deepcopy(model.state_dict())
         losses.append(loss)
         errors.append(levels)
     model.load_state_dict(best)
-    return Fit(model.eval().requires_grad_(False), np.array(losses), np.array(errors), time.process_time() - began)
+    return Fit(model.cpu().eval().requires_grad_(False), np.array(losses), np.array(errors),
+               time.process_time() - began)
 
 
-def validated(model: NeuralSubdivision, batches: Sequence[Batch]) -> tuple[float, ndarray]:
-    """Means over the batches: the loss, and the error of each level."""
-    losses, errors = [], []
-    with torch.no_grad():
-        for batch in batches:
-            outputs = model(batch.positions, batch.levels)
-            losses.append(float(batch.loss(outputs)))
-            errors.append([float(error) for error in level_errors(batch, outputs)])
-    return float(np.mean(losses)), np.mean(errors, axis=0)
+def working(device: torch.device) -> Callable[..., Tensor]:
+    """Brings what a piece of work gives into tensors, as `Recorder.run`: recorded on a GPU, as it is on a CPU."""
+    if device.type == "cuda":
+        return Recorder(device).run
+
+    def run(key: Hashable, work: Callable[[], Iterable[Tensor]], results: Sequence[Tensor]) -> Tensor:
+        copy_to(results, work())
+        return results[0]
+
+    return run
 
 
 # --- meshes ------------------------------------------------------------------------------------------------------

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from experiments import sources, tables
 from experiments.__main__ import names
+from experiments.analytic import even_pairs
 from experiments.common import HERE, volume
 
 import shapes
@@ -39,6 +40,19 @@ def test_solids_are_closed_look_outwards_and_depend_on_their_number_alone(number
     assert volume(solid) > 0
     np.testing.assert_array_equal(solid.vertices, sources.solid(number).vertices)
     assert not np.array_equal(solid.vertices, sources.solid(number, seed=1).vertices)
+
+
+def test_even_grids_are_closed_look_outwards_and_have_exact_targets():
+    for pair in even_pairs(12, seed=0, levels=2):
+        mesh = Mesh(pair.positions("on_surface").astype(float), pair.faces)
+        assert not mesh.topology.is_boundary_edge.any()
+        euler = len(mesh.vertices) - len(mesh.topology.edges) + len(mesh.faces)
+        assert euler == (0 if "torus" in pair.name else 2)
+        assert volume(mesh) > 0
+        if "ellipsoid" in pair.name:
+            squares = pair.targets.astype(float) ** 2
+            axes = np.linalg.lstsq(squares[: pair.level_sizes[0]], np.ones(pair.level_sizes[0]))[0]
+            np.testing.assert_allclose(squares @ axes, 1, atol=1e-5)
 
 
 @pytest.mark.parametrize("make", [sources.lathe, sources.extrusion])

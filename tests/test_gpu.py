@@ -8,14 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from experiments.variants import NETWORKS, fit
 
 import neusub
 import neusub.recording
 import neusub.training
 import shapes
-from neusub import PRESETS, Subdivider
+from neusub import PRESETS, Subdivider, TrainingConfig
 from neusub.flaps import level_flaps
-from neusub.generation import save_pairs
+from neusub.generation import batch_pairs, save_pairs
 from neusub.recording import Recorder
 from neusub.subdivider import model_names
 from neusub.topology import topology_levels
@@ -93,3 +94,12 @@ def test_a_training_that_fills_the_gpu_goes_on_without_recording(files, tmp_path
         monkeypatch.setattr(module, "has_room", lambda device: next(room, False))
     crowded = train(*files, tmp_path / "crowded", config)
     assert crowded.best_loss == pytest.approx(whole.best_loss, rel=0.02)
+
+
+@pytest.mark.parametrize("name", [name for name in NETWORKS if "world" not in name])
+def test_the_experiments_train_alike_on_a_gpu(name):
+    pairs = [loop_pair(*shape) for shape in (shapes.torus(6, 5), shapes.icosahedron(), shapes.cube())]
+    found = [fit(NETWORKS[name], batches, batches[:2], TrainingConfig(epochs=3, seed=1))
+             for device in ("cpu", "cuda") for batches in [[batch_pairs([pair], device=device) for pair in pairs]]]
+    np.testing.assert_allclose(found[1].losses, found[0].losses, rtol=0.02)
+    np.testing.assert_allclose(found[1].errors, found[0].errors, rtol=0.02)

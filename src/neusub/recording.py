@@ -11,7 +11,7 @@ from collections.abc import Callable, Hashable, Iterable, Sequence
 import torch
 from torch import Tensor
 
-__all__ = ["Recorder", "has_room"]
+__all__ = ["Recorder", "copy_to", "has_room"]
 
 ROOM = 0.25  # of a GPU's memory: what is left for the work itself
 
@@ -69,5 +69,6 @@ class Recorder:
 
 
 def copy_to(results: Sequence[Tensor], values: Iterable[Tensor]) -> None:
+    """Each value into its place among the results."""
     for result, value in zip(results, values, strict=True):
         result.copy_(value)

@@ -31,7 +31,8 @@ from neusub.network import NeuralSubdivision
 from neusub.recording import Recorder, has_room
 from neusub.subdivider import Subdivider, resolve_device
 
-__all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "mean_coarse_edge", "set_rate", "train"]
+__all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "make_recordable", "mean_coarse_edge",
+           "set_rate", "train"]
 
 EDGE = 0.1  # mean coarse edge that pairs are brought to for a network that knows no scale: about the paper's
 Map = Callable[..., Iterable]  # as `map`
