@@ -29,8 +29,15 @@ if not torch.cuda.is_available():
 
 
 @pytest.fixture
-def files(tmp_path):
-    pairs = [loop_pair(*shape) for shape in (shapes.torus(6, 5), shapes.grid(), shapes.icosahedron(), shapes.cone())]
+def pairs():
+    """Of shaken shapes: where symmetry makes a gradient zero, Adam takes a whole step along its rounding."""
+    shake = np.random.default_rng(0).normal
+    return [loop_pair(vertices + shake(0, 0.03 * np.ptp(vertices), vertices.shape), faces)
+            for vertices, faces in (shapes.torus(6, 5), shapes.grid(), shapes.icosahedron(), shapes.cone())]
+
+
+@pytest.fixture
+def files(tmp_path, pairs):
     save_pairs(pairs, tmp_path / "train.safetensors", {})
     save_pairs(pairs[:2], tmp_path / "validation.safetensors", {})
     return [tmp_path / "train.safetensors"], [tmp_path / "validation.safetensors"]
@@ -97,8 +104,7 @@ def test_a_training_that_fills_the_gpu_goes_on_without_recording(files, tmp_path
 
 
 @pytest.mark.parametrize("name", [name for name in NETWORKS if "world" not in name])
-def test_the_experiments_train_alike_on_a_gpu(name):
-    pairs = [loop_pair(*shape) for shape in (shapes.torus(6, 5), shapes.icosahedron(), shapes.cube())]
+def test_the_experiments_train_alike(name, pairs):
     found = [fit(NETWORKS[name], batches, batches[:2], TrainingConfig(epochs=3, seed=1))
              for device in ("cpu", "cuda") for batches in [[batch_pairs([pair], device=device) for pair in pairs]]]
     np.testing.assert_allclose(found[1].losses, found[0].losses, rtol=0.02)
