@@ -2,8 +2,8 @@
 
     python benchmarks/selfparam.py [MESH ...] [--large]
 
-Without meshes: bumpy spheres of our own with irregular triangles; --large adds
-a million vertices.  Kernels are compiled first.
+Without meshes: bumpy spheres of our own with irregular triangles; --large adds 4,000 and a million vertices.  Kernels
+are compiled first.
 """
 
 from __future__ import annotations
@@ -47,15 +47,17 @@ def bumpy(levels: int, solid: pv.PolyData | None = None) -> Mesh:
     return Mesh(vertices * (1 + 0.1 * wave), faces)
 
 
-def compare(name: str, mesh: Mesh) -> None:
-    repeats = 3 if len(mesh.vertices) < 100_000 else 1
+def compare(name: str, mesh: Mesh) -> dict[str, float]:
+    """Prints times; gives the seconds of a collapse by strategy."""
+    repeats, costs = 3 if len(mesh.vertices) < 100_000 else 1, {}
     peer, _ = best_of(lambda: igl.qslim(mesh.vertices, mesh.faces, FACES), repeats)
     for strategy in ("quadric", "random"):
         seconds, result = best_of(lambda strategy=strategy: decimate(mesh, n_faces=FACES, strategy=strategy), repeats)
         collapses = result.counts["legal"]
+        costs[strategy] = seconds / collapses
         size = sum(array.nbytes for array in result.charts) / collapses
         print(f"{name:18s} {len(mesh.vertices):9,} vertices  {strategy:8s} {seconds:7.3f} s  "
-              f"{1e6 * seconds / collapses:5.1f} us a collapse  {seconds / peer:.2f} x igl.qslim ({peer:.3f} s)  "
+              f"{1e6 * costs[strategy]:5.1f} us a collapse  {seconds / peer:.2f} x igl.qslim ({peer:.3f} s)  "
               f"map {size:.0f} bytes a collapse", flush=True)
     rng = np.random.default_rng(0)
     result = decimate(mesh, n_faces=FACES)
@@ -65,6 +67,7 @@ def compare(name: str, mesh: Mesh) -> None:
         at, barycentric = np.sort(rng.integers(0, len(faces), POINTS)), rng.dirichlet([1, 1, 1], POINTS)
         seconds, _ = best_of(lambda d=direction, a=at, b=barycentric: getattr(result, d)(a, b), 3)
         print(f"{'':18s} {direction}: {1e6 * seconds / POINTS:.2f} us a point, all threads, points sorted by face")
+    return costs
 
 
 def pairs(name: str, mesh: Mesh) -> None:
@@ -87,10 +90,15 @@ def main() -> None:
         move(np.array([0]), np.array([[1.0, 0, 0]]))
     meshes = {path.stem: neusub.load(path) for path in options.meshes} or {f"sphere {n}": bumpy(n) for n in (5, 6, 7)}
     if options.large:
-        meshes["octahedron 9"] = bumpy(9, pv.Octahedron())  # 4 * 4^9 + 2 vertices
-    for name, mesh in meshes.items():
-        compare(name, mesh)
-    name = next(iter(meshes))
+        meshes |= {f"octahedron {n}": bumpy(n, pv.Octahedron()) for n in (5, 9)}  # 4 * 4^n + 2 vertices
+    meshes = dict(sorted(meshes.items(), key=lambda item: len(item[1].vertices)))
+    costs = {name: compare(name, mesh) for name, mesh in meshes.items()}
+    if len(meshes) > 1:
+        small, *_, large = meshes
+        for strategy in costs[small]:
+            growth = costs[large][strategy] / costs[small][strategy]
+            print(f"{strategy}: a collapse of {large} costs {growth:.2f} times one of {small}")
+    name = min(meshes, key=lambda name: abs(len(meshes[name].vertices) - 10_000))
     pairs(name, meshes[name])
 
 
