@@ -309,6 +309,12 @@ def with_inf() -> Shape:
     return vertices, faces
 
 
+def too_far() -> Shape:
+    vertices, faces = icosahedron()
+    vertices[7, 1] = -1e76
+    return vertices, faces
+
+
 def flipped_face() -> Shape:
     vertices, faces = icosahedron()
     faces[4] = faces[4, ::-1]

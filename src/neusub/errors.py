@@ -41,7 +41,7 @@ class EmptyMeshError(MeshError):
 
 
 class NonFiniteError(MeshError):
-    """A coordinate that is NaN or infinite."""
+    """A coordinate that is NaN, infinite, or so large (above 1e75) that squares of areas are."""
 
 
 class IndexRangeError(MeshError):

@@ -33,6 +33,8 @@ from neusub.topology import Topology, build_topology, refine_corners
 
 __all__ = ["Material", "Mesh", "face_edge_groups", "find_problems", "vertex_fans"]
 
+FARTHEST = 1e75  # coordinate: squares of areas stay finite
+
 
 @dataclass(frozen=True)
 class Material:
@@ -191,11 +193,12 @@ def iterate_problems(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "
 
 
 def non_finite_problems(vertices: Float64[ndarray, "nV 3"]) -> Iterator[MeshError]:
-    bad = ~np.isfinite(vertices).all(axis=1)
+    bad = ~(np.abs(vertices) <= FARTHEST).all(axis=1)
     if bad.any():
         v = int(np.argmax(bad))
         yield NonFiniteError(
-            f"vertex {v} is {_row(vertices[v])}{_more(bad.sum(), 'vertex')}. Give every vertex a finite position."
+            f"vertex {v} is {_row(vertices[v])}{_more(bad.sum(), 'vertex')}. Give every vertex a finite position, with "
+            f"coordinates of at most {FARTHEST}."
         )
 
 

@@ -9,7 +9,7 @@ from jaxtyping import Float64, Int64
 from numpy import ndarray
 
 from neusub.errors import MeshError, NonFiniteError
-from neusub.mesh import Mesh, duplicate_faces, face_edge_groups, find_problems, vertex_fans
+from neusub.mesh import Mesh, duplicate_faces, face_edge_groups, find_problems, non_finite_problems, vertex_fans
 from neusub.raw import RawMesh
 from neusub.topology import Topology, build_topology, connected_components
 
@@ -252,7 +252,7 @@ def _collapse_flat_faces(work: RawMesh, changes: list[str]) -> None:
     """Collapse the shortest edge of each zero-area face, in rounds of edges that do not touch each other."""
     if (
         any(not isinstance(p, NonFiniteError) for p in find_problems(*_compact(work)))
-        or not np.isfinite(work.vertices).all()
+        or any(non_finite_problems(work.vertices))
     ):
         return  # what is not manifold yet would only get worse; `Mesh` names the problem
     collapsed, left = 0, 0
