@@ -216,6 +216,17 @@ def test_displacements_and_gradients_are_finite_where_faces_have_no_area(way):
     out.square().sum().backward()
     assert out.isfinite().all()
     assert all(weight.grad is not None and weight.grad.isfinite().all() for weight in network.initial.parameters())
+    assert start.grad is not None and start.grad.isfinite().all()
+
+
+@pytest.mark.parametrize("size", [1, 0])
+@pytest.mark.parametrize("shape", [shapes.coincident_vertices(), shapes.collinear_face(), shapes.cube(), shapes.grid()])
+def test_gradients_of_positions_are_finite_on_flat_and_degenerate_shapes(shape, size):
+    vertices, faces = shape
+    network = random_network(**DEFAULT)
+    start = torch.tensor(size * vertices, requires_grad=True)
+    network(start, flaps_of(faces, len(vertices)))[-1].square().sum().backward()
+    assert start.grad is not None and start.grad.isfinite().all()
 
 
 def make_pair(vertices, faces, seed):

@@ -41,6 +41,12 @@ def unit(vector: Float[Tensor, "*b 3 n"], size: Tensor | float) -> tuple[Tensor,
     return vector * torch.where(defined, squared, torch.inf).rsqrt(), defined
 
 
+def root(squared: Tensor) -> Tensor:
+    """Square roots, with a gradient of zero where they are zero: there a length has no direction to grow in."""
+    positive = squared > 0
+    return torch.where(positive, torch.where(positive, squared, 1).sqrt(), 0)
+
+
 def cross(a: Float[Tensor, "*b 3 n"], b: Float[Tensor, "*b 3 n"]) -> Float[Tensor, "*b 3 n"]:
     """Cross products; torch.linalg.cross is three to five times slower in this layout."""
     a0, a1, a2 = a.unbind(-2)
@@ -113,7 +119,7 @@ def star_sums(
             near = edges
         else:
             near, use = edges[:1], use[:1]
-        rows = [(near * use).sum(0), (use * near.square().sum(1, keepdim=True).sqrt() if relative else use).sum(0)]
+        rows = [(near * use).sum(0), (use * root(near.square().sum(1, keepdim=True)) if relative else use).sum(0)]
         if framed:
             axes, defined = local_frames(edges)
             rows.append(torch.where(defined, axes[2], 0))
@@ -154,7 +160,7 @@ def turn_sums(
     """
     sideways, up = (edges[1:] * axes[1]).sum(1).square(), (edges[1:] * axes[2]).sum(1).square()
     squared = (up / (sideways + up).clamp(min=torch.finfo(up.dtype).tiny)).amin(0)  # alike where both faces have areas
-    s = squared.sqrt()
+    s = root(squared)
     return pool(groups, torch.stack([s, squared, squared * s, squared.square(), *(s * axes[0])], dim=1)).T
 
 
@@ -177,5 +183,5 @@ def turns(
     e4 = (e3 * p1 - e2 * p2 + p1 * p3 - p4) / 4
     rounding = CANCELLED * p1
     ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
-    bend = sums[4:].square().sum(0).sqrt() / (p1 + least)
+    bend = root(sums[4:].square().sum(0)) / (p1 + least)
     return torch.stack([p1 / count, *(ratio.clamp(min=0) for ratio in ratios), bend])
