@@ -3,8 +3,9 @@
     python -m experiments smoothness
 
 Two levels of each scheme and of the shipped weights.  A fold is an edge whose faces turn by more than 120 degrees; the
-coarse meshes have some.  The ring is a torus: its own angles are given for the refinement's vertices moved onto it,
-and how far the faces' normals are from its own, in degrees.
+coarse meshes have some.  The ring is a torus, for which the third level is there, too: its own angles are given for
+the refinement's vertices moved onto it, how far from those the refinement's are (root mean square), and how far the
+faces' normals are from its own, in degrees.
 Writes results/smoothness.json.
 """
 
@@ -15,7 +16,7 @@ import sys
 import numpy as np
 
 import neusub
-from experiments.common import HERE, parser_of, provenance, score, write_results
+from experiments.common import HERE, SCHEMES, parser_of, provenance, refined, score, write_results
 from neusub.metrics import face_normals
 
 FOLD = 120  # degrees
@@ -48,10 +49,12 @@ def numbers_of(mesh: neusub.Mesh, name: str, truth: neusub.Mesh | None) -> dict:
     numbers = {"mean": float(degrees.mean()), "median": float(np.median(degrees)), "folds": int((degrees > FOLD).sum())}
     if name == "ring":
         exact = on_torus(mesh)
+        own = angles(exact)
         wanted = torus_at(mesh.vertices[mesh.faces].mean(axis=1))[1]
         cosine = (face_normals(mesh) * wanted).sum(axis=1).clip(-1, 1)
         numbers |= {"normals_off_the_torus": float(np.degrees(np.arccos(cosine)).mean()),
-                    "mean_on_the_torus": float(angles(exact).mean()),
+                    "mean_on_the_torus": float(own.mean()),
+                    "deviation_from_the_torus": float(np.sqrt(((degrees - own) ** 2).mean())),
                     "distance_to_the_torus": float(np.linalg.norm(mesh.vertices - exact.vertices, axis=1).mean())}
     if truth is not None:
         numbers["H"], numbers["M"] = score(mesh, truth)
@@ -66,14 +69,14 @@ def main() -> None:
     fine = demo.blob()
     meshes = {**demo.low_poly_models(), "blob": demo.decimated_on_surface(fine, 400), "ring": demo.textured_ring()}
     rows: dict = {}
-    for name, mesh in meshes.items():
-        truth = fine if name == "blob" else None
-        refined = {scheme: neusub.subdivide(mesh, scheme, 2)[-1] for scheme in ("midpoint", "loop", "butterfly")}
-        refined |= {model: neusub.subdivide(mesh, "neural", 2, model=model)[-1] for model in ("elephant", "default")}
-        rows[name] = {"coarse": numbers_of(mesh, "", None)}
-        rows[name] |= {scheme: numbers_of(result, name, truth) for scheme, result in refined.items()}
-        for scheme, numbers in rows[name].items():
-            print(f"{name:10s}{scheme:10s}", *(f"{key} {value:.4g}" for key, value in numbers.items()), flush=True)
+    for name, levels in [*((name, 2) for name in meshes), ("ring", 3)]:
+        mesh, truth = meshes[name], fine if name == "blob" else None
+        results = {method: refined(mesh, method, levels)[-1] for method in (*SCHEMES, "elephant", "default")}
+        key = name if levels == 2 else f"{name}, level {levels}"
+        rows[key] = {"coarse": numbers_of(mesh, "", None)}
+        rows[key] |= {method: numbers_of(result, name, truth) for method, result in results.items()}
+        for method, numbers in rows[key].items():
+            print(f"{key:15s}{method:10s}", *(f"{key} {value:.4g}" for key, value in numbers.items()), flush=True)
     write_results("smoothness", {**provenance(options), "meshes": rows})
 
 
