@@ -6,7 +6,7 @@
 
 The source is the authors' public pairs, or a fine mesh of which pairs are made.  Each training (variant, seed, epochs,
 pairs) is one entry of results/ablation.json, written when it is done; what is there is skipped, so the command can be
-stopped and repeated.  The picture docs/reproduction/ablation.png shows the largest setting with all studies.
+stopped and repeated.  The picture docs/reproduction/ablation.webp shows the largest setting with all studies.
 "Relative" variants measure lengths in units of each half-flap's mean edge.
 """
 
@@ -19,11 +19,10 @@ from pathlib import Path
 
 import numpy as np
 import torch
-from PIL import Image
 
 import neusub
-from experiments.common import HERE, RESULTS, parser_of, provenance
-from experiments.variants import NETWORKS, Fit, LastLevel, fit, shrunk
+from experiments.common import RESULTS, parser_of, provenance, write_chart
+from experiments.variants import NETWORKS, Fit, LastLevel, fit
 from neusub import PairConfig, TrainingConfig, import_pairs
 from neusub.files import replacing
 from neusub.generation import Batch, Pair, batch_pairs, load_pairs, pair_files, save_pairs
@@ -39,7 +38,7 @@ STUDIES = {  # of the paper's insets: the variants beside the paper's choice, an
 }
 VARIANTS = (PAPER, *(name for names, _ in STUDIES.values() for name in names))
 POINTS = 60  # of a curve that is kept
-RESULT, PICTURE = RESULTS / "ablation.json", HERE.parent / "docs" / "reproduction" / "ablation.png"
+RESULT = RESULTS / "ablation.json"
 
 
 # --- trainings ---------------------------------------------------------------------------------------------------
@@ -179,10 +178,7 @@ def draw(known: list[dict]) -> Path | None:
     note = ("Error: mean square of a coordinate\non 10 held out pairs.\n"
             "Line: mean over the seeds (their number\nin brackets); band: range.")
     panels[-1].text(0, 0.5, f"{pairs} pairs, {epochs} epochs.\n{note}", va="center")
-    with replacing(PICTURE) as new:
-        figure.savefig(new, format="png")
-        shrunk(Image.open(new)).save(new, format="png", optimize=True)
-    return PICTURE
+    return write_chart("ablation", figure)
 
 
 def main() -> None:

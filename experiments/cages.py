@@ -6,7 +6,7 @@ MESHES holds INDEX.csv; taken are the manifold meshes of its group `lowpoly`, tw
 whose normal is more than 90 degrees from that of the cage's face that they come from.  Crossing: pairs of the cage's
 faces of which pieces cross (exactly, by CGAL) that no pieces of the midpoint refinement cross of.
 Writes results/cages.json and, of each cage and its refinement by `default` with uncross,
-docs/reproduction/cages.png.
+docs/reproduction/cages.webp.
 """
 
 from __future__ import annotations

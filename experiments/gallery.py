@@ -5,7 +5,7 @@
 MESHES is the folder of INDEX.csv.  No training: the models are `elephant`, the paper's network, and `default`.  H and M
 are in percent of the reference's diagonal.  Coarse meshes come from `decimate(strategy="quadric")` down to 350 vertices
 where nothing else is said; networks are told the kind of input where their card names weights for it.
-Writes results/gallery.json and docs/reproduction/*.png.
+Writes results/gallery.json and docs/reproduction/*.webp.
 """
 
 from __future__ import annotations

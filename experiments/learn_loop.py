@@ -5,7 +5,7 @@
 MESHES is the folder that holds INDEX.csv.  One shape is decimated at random and each coarse mesh subdivided twice by
 Loop; the loss compares each level with Loop's (`app:Loop`).  The test: coarse meshes of other shapes, the distance of
 each vertex of level 2 to Loop's, in percent of the diagonal of the box.  Writes results/learn_loop.json and
-docs/reproduction/learn_loop.png.
+docs/reproduction/learn_loop.webp.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 MESHES is the folder of INDEX.csv.  The paper's network on --pairs discretizations of 150 to 300 vertices of one shape,
 --epochs epochs of one mesh a step, cosine (the paper: 200 and 700, constant).  Scored on the organic shapes that
 `styles.py` holds out, decimated to 350 vertices on the surface, at levels 1 to 4: H and M in percent of the diagonal,
-mean angle between neighbouring faces in degrees.  Writes results/level3.json and docs/reproduction/level3.png.
+mean angle between neighbouring faces in degrees.  Writes results/level3.json and docs/reproduction/level3.webp.
 """
 
 from __future__ import annotations

@@ -5,7 +5,7 @@
 TOSCA is the folder of <category>.npz, MESHES the one that holds INDEX.csv, for the picture.  The eight fixed inputs
 with vertices on the surface, to levels 1 to 5.  `elephant` learned two, `default` three.  H and M are in TOSCA's units.
 Angles are in degrees, between the normals of neighbouring faces.  Writes results/levels.json and
-docs/reproduction/levels.png; --quick takes two shapes to level 3, and writes nothing.
+docs/reproduction/levels.webp; --quick takes two shapes to level 3, and writes nothing.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ midpoints, and their vertices sent to the fine surface by closest points, and by
 fine surface do they reach?  Then (`fig:chamfer`) the same network is trained on the same pairs of one shape with three
 losses, each summed over the levels, and tried on discretizations that were held out.  A triangle is flipped where its
 normal points away from the fine surface under its centre, an edge folded where its faces turn by more than 120 degrees.
-Writes results/losses.json, docs/reproduction/losses.png and docs/reproduction/point2mesh.png.
+Writes results/losses.json, docs/reproduction/losses.webp and docs/reproduction/point2mesh.webp.
 """
 
 from __future__ import annotations

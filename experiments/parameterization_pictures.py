@@ -10,7 +10,7 @@ from numpy import ndarray
 from PIL import Image, ImageDraw, ImageFont
 
 import neusub
-from experiments.common import HERE
+from experiments.common import write_chart, write_picture
 from experiments.parameterization import (
     BLUB,
     CRITERIA,
@@ -30,7 +30,6 @@ from neusub.map_pictures import Surface, View, checkerboard, coloured_fine, edge
 from neusub.metrics import face_normals
 from neusub.selfparam.parameterization import refinement
 
-FOLDER = HERE.parent / "docs" / "reproduction"
 SMALL = 400_000  # faces of a coloured surface
 CLAY, RED, TITLE = (223, 227, 234), (220, 50, 40), 26
 FRONT, OTHER = (0.9, 0.45, 1.2), (0.9, 0.45, -1.2)  # most shapes look along z, spot along -z
@@ -50,7 +49,6 @@ GALLERY = {  # where to look from
 
 
 def draw_all(folder: Path, times: dict) -> None:
-    FOLDER.mkdir(parents=True, exist_ok=True)
     for draw in (draw_flattenings, draw_strategies, draw_maps, draw_fitted, draw_criteria, draw_gallery, draw_draws,
                  draw_targets):
         print(draw(folder), flush=True)
@@ -69,11 +67,8 @@ def titled(picture: ndarray, title: str) -> ndarray:
 
 
 def write(name: str, rows: Sequence[Sequence[ndarray]]) -> Path:
-    """Panels of one size in rows, in few colours for a small file."""
-    path = FOLDER / f"{name}.png"
-    image = Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows]))
-    image.quantize(256, kmeans=1, dither=Image.Dither.NONE).save(path, optimize=True)
-    return path
+    """Panels of one size in rows."""
+    return write_picture(name, Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])))
 
 
 def wireframe(mesh: Mesh, view: View) -> ndarray:
@@ -197,6 +192,4 @@ def draw_times(times: dict) -> Path:
     axes.set(xlabel="vertices", ylabel="seconds of one core")
     axes.grid(alpha=0.3)
     axes.legend()
-    path = FOLDER / "time.png"
-    figure.savefig(path)
-    return path
+    return write_chart("time", figure)

@@ -7,7 +7,7 @@ paper's loss; "chamfer, KD-tree" finds neighbours with scipy on the CPU; "chamfe
 blocks that fit the memory.  Where torch has a GPU, all but the tree run there too.  The target's tree is built once.
 Decimation: the demo's blob, refined by midpoints, always down to 500 vertices; `igl.qslim` keeps no map.
 Seconds are of the processor on the CPU, for other programs may run there, and of the clock on a GPU.
-Writes results/runtime.json, each of the two with where it was measured, and docs/reproduction/runtime.png; --quick
+Writes results/runtime.json, each of the two with where it was measured, and docs/reproduction/runtime.webp; --quick
 takes small sizes, and writes nothing.
 """
 
@@ -30,7 +30,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 import neusub
-from experiments.common import HERE, RESULTS, parser_of, provenance, write_results
+from experiments.common import HERE, RESULTS, parser_of, provenance, write_chart, write_results
 
 SHOWS = ("fig:runtime", "sec:SSS")
 TARGETS, TREE, PAIRS = "known targets", "chamfer, KD-tree", "chamfer, all pairs"
@@ -195,9 +195,7 @@ def draw(rows: list[dict], decimation: dict) -> Path:
     for axes in (left, right):
         axes.grid(alpha=0.3)
         axes.legend(fontsize=8, ncols=2, loc="upper center", bbox_to_anchor=(0.5, -0.2))
-    path = HERE.parent / "docs" / "reproduction" / "runtime.png"
-    figure.savefig(path)
-    return path
+    return write_chart("runtime", figure)
 
 
 def ratios(rows: list[dict]) -> list[dict]:

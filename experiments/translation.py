@@ -6,7 +6,7 @@ MESHES is the folder that holds INDEX.csv.  Three networks learn one coarse mesh
 the paper's; one whose inputs and displacements are along the world's axes; and one that sees positions, too.  Each then
 subdivides the same mesh turned or moved.  The error is the distance of each vertex of level 2 to its target, turned or
 moved likewise, in percent of the diagonal of the box.  Writes results/translation.json and
-docs/reproduction/translation.png.
+docs/reproduction/translation.webp.
 """
 
 from __future__ import annotations
@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 import neusub
-from experiments.common import parser_of, provenance, write_results
-from experiments.parameterization_pictures import FOLDER, OTHER, titled
-from experiments.variants import NETWORKS, Fit, fit, panel, refined, shrunk
+from experiments.common import parser_of, provenance, write_picture, write_results
+from experiments.parameterization_pictures import OTHER, titled
+from experiments.variants import NETWORKS, Fit, fit, panel, refined
 from neusub import PairConfig, TrainingConfig
 from neusub.generation import Batch, Pair, batch_pairs, load_pairs
 from neusub.map_pictures import View
@@ -84,9 +84,7 @@ def draw(results: dict[str, Fit], pair: Pair, batch: Batch, rows: dict) -> Path:
     whole = Image.new("RGB", (meshes.width, meshes.height + chart.height), "white")
     whole.paste(meshes)
     whole.paste(chart, (0, meshes.height))
-    path = FOLDER / "translation.png"
-    shrunk(whole).save(path, optimize=True)
-    return path
+    return write_picture("translation", whole)
 
 
 def charts(rows: dict, width: int) -> Image.Image:

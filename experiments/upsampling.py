@@ -8,7 +8,7 @@ points, uniform or farthest ones, a network that was trained on statues and give
 Poisson.  Here moving least squares (APSS, Guennebaud and Gross 2007) upsample, 16 times too; pymeshlab has them, the
 normals and Kazhdan's screened Poisson.  Two levels of subdivision also give 16 times as many vertices.  The eight fixed
 inputs with vertices on the surface; H and M in TOSCA's units; seconds of the processor.  Writes results/upsampling.json
-and docs/reproduction/upsampling.png; --quick takes two shapes, and writes nothing.
+and docs/reproduction/upsampling.webp; --quick takes two shapes, and writes nothing.
 
 Points alone tell no inside: normals are estimated.  One row takes the coarse mesh's normals instead, to tell apart what
 is lost with them and what is lost with the triangles.

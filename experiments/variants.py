@@ -15,7 +15,6 @@ from functools import partial
 import numpy as np
 import torch
 from numpy import ndarray
-from PIL import Image
 from torch import Tensor, nn
 
 from neusub import Mesh, TrainingConfig
@@ -304,8 +303,3 @@ def panel(mesh: Mesh, view: View, colors: ndarray | None = None, wireframe: bool
     """A picture of a mesh in clay, or in the colours of its faces."""
     painted = np.full(mesh.faces.shape, CLAY, np.uint8) if colors is None else colors
     return surface_picture(Surface(mesh.vertices, mesh.faces, painted), view, wireframe=wireframe)
-
-
-def shrunk(image: Image.Image) -> Image.Image:
-    """In few colours, for a small file."""
-    return image.convert("RGB").quantize(256, kmeans=1, dither=Image.Dither.NONE)
