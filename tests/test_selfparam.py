@@ -335,8 +335,11 @@ def test_a_compilation_is_announced_once_on_a_machine(tmp_path, caplog):
     announce(fresh, "kernels")  # another one that belongs to the first
     assert len(caplog.records) == 1
     assert announced(known) == []
-    (tmp_path / "collapse.run-75.py311.nbi").touch()  # as numba names them
+    kept = tmp_path / "collapse.run-75.py311.nbi"  # as numba names them
+    kept.touch()
     assert announced(fresh) == []
+    os.utime(kept, (0, 0))  # of an older version of neusub
+    assert len(announced(fresh)) == 1
 
 
 @pytest.mark.parametrize("target", [2.5, True, "10"])

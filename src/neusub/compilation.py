@@ -32,8 +32,9 @@ def announce(kernel: Any, what: str) -> None:
     together."""
     if kernel.signatures:
         return
-    module = kernel.py_func.__module__.rpartition(".")[2]
-    if not any(Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")):
+    module, source = kernel.py_func.__module__.rpartition(".")[2], Path(kernel.py_func.__code__.co_filename)
+    kept = Path(kernel.stats.cache_path or ".").glob(f"{module}.{kernel.py_func.__name__}-*.nbi")
+    if not any(index.stat().st_mtime >= source.stat().st_mtime for index in kept):
         say_that_it_compiles(what)
 
 
