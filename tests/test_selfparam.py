@@ -4,6 +4,7 @@
 it leaves behind.
 """
 
+import os
 from collections.abc import Iterator
 from types import SimpleNamespace
 
