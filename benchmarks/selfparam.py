@@ -82,7 +82,7 @@ def pairs(name: str, mesh: Mesh) -> None:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("meshes", nargs="*", type=Path)
-    parser.add_argument("--large", action="store_true", help="also a million vertices")
+    parser.add_argument("--large", action="store_true", help="also 4,000 and a million vertices")
     options = parser.parse_args()
     warm = decimate(bumpy(3), n_faces=FACES)
     warm.fitted()

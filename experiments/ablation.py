@@ -3,6 +3,7 @@
     python -m experiments ablation cartoon_elephant.npz                            # 200 pairs, 200 epochs, 3 seeds
     python -m experiments ablation cartoon_elephant.npz --epochs 700 --seeds 1
     python -m experiments ablation cartoon_elephant.npz --pairs 16 --epochs 40     # a quarter of an hour
+    python -m experiments ablation cartoon_elephant.npz --device cuda              # steps recorded as CUDA graphs
 
 The source is the authors' public pairs, or a fine mesh of which pairs are made.  Each training (variant, seed, epochs,
 pairs) is one entry of results/ablation.json, written when it is done; what is there is skipped, so the command can be

@@ -72,11 +72,11 @@ def main() -> None:
     for name, levels in [*((name, 2) for name in meshes), ("ring", 3)]:
         mesh, truth = meshes[name], fine if name == "blob" else None
         results = {method: refined(mesh, method, levels)[-1] for method in (*SCHEMES, "elephant", "default")}
-        key = name if levels == 2 else f"{name}, level {levels}"
-        rows[key] = {"coarse": numbers_of(mesh, "", None)}
-        rows[key] |= {method: numbers_of(result, name, truth) for method, result in results.items()}
-        for method, numbers in rows[key].items():
-            print(f"{key:15s}{method:10s}", *(f"{key} {value:.4g}" for key, value in numbers.items()), flush=True)
+        row = name if levels == 2 else f"{name}, level {levels}"
+        rows[row] = {} if levels > 2 else {"coarse": numbers_of(mesh, "", None)}
+        rows[row] |= {method: numbers_of(result, name, truth) for method, result in results.items()}
+        for method, numbers in rows[row].items():
+            print(f"{row:15s}{method:10s}", *(f"{key} {value:.4g}" for key, value in numbers.items()), flush=True)
     write_results("smoothness", {**provenance(options), "meshes": rows})
 
 

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from experiments.variants import NETWORKS, fit
+from experiments.variants import NETWORKS, LastLevel, fit
 
 import neusub
 import neusub.recording
@@ -16,7 +16,7 @@ import neusub.training
 import shapes
 from neusub import PRESETS, Subdivider, TrainingConfig
 from neusub.flaps import level_flaps
-from neusub.generation import batch_pairs, save_pairs
+from neusub.generation import Batch, batch_pairs, save_pairs
 from neusub.recording import Recorder
 from neusub.subdivider import model_names
 from neusub.topology import topology_levels
@@ -26,6 +26,14 @@ from test_training import loop_pair
 
 if not torch.cuda.is_available():
     pytest.skip("no CUDA GPU: what one computes is not compared with the CPU", allow_module_level=True)
+
+
+@pytest.fixture
+def recorded(monkeypatch):
+    """What is recorded during the test."""
+    words, record = [], Recorder._recorded
+    monkeypatch.setattr(Recorder, "_recorded", lambda *given: words.append(given) or record(*given))
+    return words
 
 
 @pytest.fixture
@@ -71,9 +79,8 @@ def test_outputs_equal_the_reference_at_every_level(golden, name, dtype, suffix,
     {"batch": 1},
     {"batch": 3, "network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5, "learning_rate": 1e-3},
 ])
-def test_a_recorded_training_equals_the_cpus(files, tmp_path, options, monkeypatch):
-    rows, recorded, record = {}, [], Recorder._recorded
-    monkeypatch.setattr(Recorder, "_recorded", lambda *words: recorded.append(words) or record(*words))
+def test_a_recorded_training_equals_the_cpus(files, tmp_path, options, recorded):
+    rows = {}
     for device in ("cuda", "cpu"):
         rows[device] = []
         config = replace(PRESETS["paper"], epochs=6, device=device, **options)
@@ -103,9 +110,10 @@ def test_a_training_that_fills_the_gpu_goes_on_without_recording(files, tmp_path
     assert crowded.best_loss == pytest.approx(whole.best_loss, rel=0.02)
 
 
-@pytest.mark.parametrize("name", [name for name in NETWORKS if "world" not in name])
-def test_the_experiments_train_alike(name, pairs):
-    found = [fit(NETWORKS[name], batches, batches[:2], TrainingConfig(epochs=3, seed=1))
-             for device in ("cpu", "cuda") for batches in [[batch_pairs([pair], device=device) for pair in pairs]]]
+@pytest.mark.parametrize("name, kind", [*((name, Batch) for name in NETWORKS), ("paper", LastLevel)])
+def test_the_experiments_train_alike(name, kind, pairs, recorded):
+    found = [fit(NETWORKS[name], batches, batches[:2], TrainingConfig(epochs=3, seed=1)) for device in ("cpu", "cuda")
+             for batches in [[kind(**vars(batch_pairs([pair], device=device))) for pair in pairs]]]
+    assert len(recorded) == len(pairs) + 2  # steps, and held out pairs
     np.testing.assert_allclose(found[1].losses, found[0].losses, rtol=0.02)
     np.testing.assert_allclose(found[1].errors, found[0].errors, rtol=0.02)

@@ -50,7 +50,7 @@ BAD = {
     ),
     "NaN": (shapes.with_nan(), errors.NonFiniteError, "vertex 7 is"),
     "Inf": (shapes.with_inf(), errors.NonFiniteError, "vertex 7 is"),
-    "too far": (shapes.too_far(), errors.NonFiniteError, r"vertex 7 is .* of at most 1e\+75"),
+    "too far": (shapes.too_far(), errors.NonFiniteError, r"vertex 7 is .* of absolute value at most 1e\+75"),
     "flipped face": (shapes.flipped_face(), errors.OrientationError, r"faces \d+ and \d+ .*and 2 more such edges"),
     "Moebius strip": (shapes.moebius(), errors.OrientationError, "the same way"),
     "index out of range": (shapes.index_out_of_range(), errors.IndexRangeError, "face 5 is .* 12 vertices"),

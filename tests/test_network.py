@@ -219,9 +219,8 @@ def test_displacements_and_gradients_are_finite_where_faces_have_no_area(way):
     assert start.grad is not None and start.grad.isfinite().all()
 
 
-@pytest.mark.parametrize("size", [1, 0])
-@pytest.mark.parametrize("shape", [shapes.coincident_vertices(), shapes.collinear_face(), shapes.cube(), shapes.grid()])
-def test_gradients_of_positions_are_finite_on_flat_and_degenerate_shapes(shape, size):
+@pytest.mark.parametrize("size, shape", [(1, shapes.coincident_vertices()), (0, shapes.torus()), (0, shapes.grid())])
+def test_gradients_of_positions_are_finite_where_edges_have_no_length(size, shape, way):
     vertices, faces = shape
     network = random_network(**DEFAULT)
     start = torch.tensor(size * vertices, requires_grad=True)

@@ -160,7 +160,7 @@ def turn_sums(
     """
     sideways, up = (edges[1:] * axes[1]).sum(1).square(), (edges[1:] * axes[2]).sum(1).square()
     squared = (up / (sideways + up).clamp(min=torch.finfo(up.dtype).tiny)).amin(0)  # alike where both faces have areas
-    s = root(squared)
+    s = squared.sqrt()
     return pool(groups, torch.stack([s, squared, squared * s, squared.square(), *(s * axes[0])], dim=1)).T
 
 
@@ -183,5 +183,5 @@ def turns(
     e4 = (e3 * p1 - e2 * p2 + p1 * p3 - p4) / 4
     rounding = CANCELLED * p1
     ratios = e2 / (p1 + least), e3 / (e2 + rounding * p1 + least), e4 / (e3 + rounding * p1.square() + least)
-    bend = root(sums[4:].square().sum(0)) / (p1 + least)
+    bend = sums[4:].square().sum(0).sqrt() / (p1 + least)
     return torch.stack([p1 / count, *(ratio.clamp(min=0) for ratio in ratios), bend])

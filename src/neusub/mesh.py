@@ -198,7 +198,7 @@ def non_finite_problems(vertices: Float64[ndarray, "nV 3"]) -> Iterator[MeshErro
         v = int(np.argmax(bad))
         yield NonFiniteError(
             f"vertex {v} is {_row(vertices[v])}{_more(bad.sum(), 'vertex')}. Give every vertex a finite position, with "
-            f"coordinates of at most {FARTHEST}."
+            f"coordinates of absolute value at most {FARTHEST}."
         )
 
 
