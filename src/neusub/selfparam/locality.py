@@ -13,7 +13,7 @@ import numpy as np
 from jaxtyping import Float64, Int32, UInt64
 from numpy import ndarray
 
-from neusub.selfparam.surface import SEAMS, TWIN, VERSION, Surface
+from neusub.selfparam.surface import SEAMS, TWIN, VERSION, Surface, box_of
 
 __all__ = ["LARGE", "Order", "file_order", "local_order", "reordered"]
 
@@ -35,13 +35,14 @@ def file_order(n_vertices: int, n_faces: int) -> Order:
 
 def local_order(positions: Float64[ndarray, "nV 3"], faces: Int32[ndarray, "nF 3"]) -> Order:
     """Vertices along a Z-order curve (Morton 1966) through the cells of the box, faces by their first vertex on it."""
-    low = positions.min(axis=0)
-    cells = (positions - low) / np.ptp(positions, axis=0).max() * CELLS + SHIFT
+    low, high = box_of(positions)
+    cells = (positions - low) / (high - low).max() * CELLS + SHIFT
     x, y, z = (spread_bits(column.astype(np.uint64)) for column in cells.T)
     vertices = np.argsort(x | y << np.uint64(1) | z << np.uint64(2), kind="stable").astype(np.int32)
     rank = np.empty_like(vertices)
     rank[vertices] = np.arange(len(rank), dtype=np.int32)
-    return Order(vertices, np.argsort(rank[faces].min(axis=1), kind="stable").astype(np.int32))
+    first = np.minimum(np.minimum(*(rank[faces[:, k]] for k in (0, 1))), rank[faces[:, 2]])
+    return Order(vertices, np.argsort(first, kind="stable").astype(np.int32))
 
 
 def spread_bits(numbers: UInt64[ndarray, " n"]) -> UInt64[ndarray, " n"]:
@@ -58,7 +59,8 @@ def reordered(surface: Surface, order: Order) -> Surface:
     new_face[order.faces] = np.arange(len(new_face), dtype=np.int32)
 
     def renamed(halfedges: ndarray) -> ndarray:
-        return np.where(halfedges < 0, halfedges, 3 * new_face[halfedges // 3] + halfedges % 3)
+        old_face = halfedges // 3
+        return np.where(halfedges < 0, halfedges, 3 * (new_face[old_face] - old_face) + halfedges)
 
     faces = surface.faces[order.faces]
     faces[:, :VERSION], faces[:, TWIN:SEAMS] = new_vertex[faces[:, :VERSION]], renamed(faces[:, TWIN:SEAMS])
