@@ -16,10 +16,11 @@ import numpy as np
 import torch
 from numpy import ndarray
 from torch import Tensor, nn
+from torch.nn.functional import linear
 
 from neusub import Mesh, TrainingConfig
 from neusub.configuration import Architecture
-from neusub.flaps import FlapGroups, gather_corners, pool
+from neusub.flaps import FlapGroups, gather_corners, pool, sum_slots
 from neusub.frames import edge_vectors, in_frames, local_frames, sizes, squared_lengths
 from neusub.generation import Batch, Pair
 from neusub.map_pictures import Surface, View, surface_picture
@@ -78,7 +79,7 @@ class EdgesFromLoop(HalfFlapMLP):
 
 
 class Plain(HalfFlapMLP):
-    """A module that sees `seen` of each half-flap beside its corners' features, written without the fast first layer.
+    """A module that sees `seen` of each half-flap beside its corners' features.
 
     As it stands it has the paper's inputs: vectors in the half-flap's frame.
     """
@@ -103,19 +104,23 @@ class Plain(HalfFlapMLP):
     def forward(self, groups, positions, values, around=None, learns=True):
         edges = edge_vectors(groups, positions)
         axes = local_frames(edges)[0]
-        rows = self.seen(groups, edges, axes, positions, values.vectors)
-        if values.features is not None:
-            rows = torch.cat([rows, gather_corners(groups, values.features).flatten(0, 1).T], dim=1)
-        hidden = torch.relu(self.hidden(torch.relu(self.first(rows))))
-        out = self.last(hidden)
-        move, features = out[:, :3], out[:, 3:]
+        seen = self.seen(groups, edges, axes, positions, values.vectors)
+        into, rest = self.first.weight.tensor_split([seen.shape[1]], dim=1)
+        hidden = linear(seen, into, self.first.bias)
+        if values.features is not None:  # once a vertex and corner, not once a half-flap
+            table = linear(values.features, rest.unflatten(1, (4, -1)).transpose(0, 1).flatten(0, 1))
+            hidden = hidden + sum_slots(groups, table.view(-1, len(into)))
+        hidden = torch.relu(self.hidden(torch.relu(hidden)))
+        move = linear(hidden, self.last.weight[:3], self.last.bias[:3])
         if self.scales:
             move = move * sizes(squared_lengths(edges))[:, None]
         if self.turns:
             move = in_frames(move.T[None].contiguous(), axes.transpose(0, 1)).T
-        count = groups.offsets.diff().to(out.dtype)[:, None]
-        means = [pool(groups, part.contiguous()) / count for part in (move, features)]
-        return means[0], Values(means[1] if learns else None, None), None
+        count = groups.offsets.diff().to(move.dtype)[:, None]
+        features = None
+        if learns:  # the mean goes through the last layer as well as each half-flap does
+            features = linear(pool(groups, hidden) / count, self.last.weight[3:], self.last.bias[3:])
+        return pool(groups, move.contiguous()) / count, Values(features, None), None
 
 
 class WorldAxes(Plain):
