@@ -21,7 +21,7 @@ from torch.nn.functional import linear
 from neusub import Mesh, TrainingConfig
 from neusub.configuration import Architecture
 from neusub.flaps import FlapGroups, gather_corners, pool, sum_slots
-from neusub.frames import edge_vectors, in_frames, local_frames, sizes, squared_lengths
+from neusub.frames import cross, edge_vectors, in_frames, local_frames, root, sizes, squared_lengths
 from neusub.generation import Batch, Pair
 from neusub.map_pictures import Surface, View, surface_picture
 from neusub.network import HalfFlapMLP, NeuralSubdivision, Values
@@ -158,9 +158,9 @@ class MeshCNN(Plain):
 
     def seen(self, groups, edges, axes, positions, vectors):
         along, left, right = edges
-        normals = torch.linalg.cross(torch.stack([along, right]), torch.stack([left, along]), dim=1)
-        areas = normals.norm(dim=1)  # twice the triangles'
-        sine = (torch.linalg.cross(normals[0], normals[1], dim=0) * axes[0]).sum(0)
+        normals = cross(torch.stack([along, right]), torch.stack([left, along]))
+        areas = root(normals.square().sum(1))  # twice the triangles'
+        sine = (cross(*normals) * axes[0]).sum(0)
         dihedral = torch.atan2(sine, (normals[0] * normals[1]).sum(0))
         apexes = torch.stack([left, right])
         inner = torch.atan2(areas, (apexes * (apexes - along)).sum(1))
