@@ -55,6 +55,20 @@ def test_many_inputs_go_to_a_folder_and_a_failed_one_does_not_stop_the_others(ba
     assert "1 of 2 failed" in err
 
 
+def test_an_output_without_extension_is_a_folder_for_one_input_too(ball, tmp_path, capsys):
+    assert neusub_command(capsys, "subdivide", ball, "-o", tmp_path / "fine", "--levels", 1)[0] == 0
+    assert len(neusub.load(tmp_path / "fine" / "ball.obj").faces) == 320
+
+
+def test_a_reader_that_has_seen_enough_is_no_failure():
+    words = [sys.executable, "-u", "-c", "from neusub.cli import main; main()", "models"]
+    with subprocess.Popen(words, stdout=subprocess.PIPE, stderr=subprocess.PIPE) as process:
+        process.stdout.close()
+        error = process.stderr.read()
+    assert process.returncode == 141
+    assert error == b""
+
+
 def test_an_existing_file_needs_overwrite(ball, tmp_path, capsys):
     words = ("subdivide", ball, "-o", tmp_path / "fine.obj", "--levels", 1)
     assert neusub_command(capsys, *words)[0] == 0

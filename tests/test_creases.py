@@ -174,7 +174,9 @@ def test_creases_by_mask_index_and_pair_are_the_same():
     mask[index] = True
     for creases in (mask, index, np.array([[3, 0], [0, 5]])):
         np.testing.assert_array_equal(crease_mask(topology, creases), mask)
-    for wrong in (np.array([[1, 3]]), np.array([99]), np.array([[0, 99]]), mask[:-1]):
+    assert not crease_mask(topology, np.zeros((0, 2))).any()
+    for wrong in (np.array([[1, 3]]), np.array([99]), np.array([[0, 99]]), mask[:-1], np.array([0.7, 1.9]), np.array(3),
+                  np.array([[0.0, 3.0]]), np.array([[3, 0, 0], [0, 5, 5]]), np.array([["0", "3"]])):
         with pytest.raises(ValueError, match="crease"):
             crease_mask(topology, wrong)
 

@@ -154,6 +154,26 @@ def test_two_sources_of_one_name_and_no_source_are_refused(sources, tmp_path):
         make_pairs([sources[0], tmp_path / "elsewhere" / "ball.ply"], tmp_path / "pairs", CONFIG)
     with pytest.raises(PairFileError, match="no sources"):
         make_pairs([], tmp_path / "pairs", CONFIG)
+    with pytest.raises(PairFileError, match=r"a single str\. Give a list"):
+        make_pairs(str(sources[0]), tmp_path / "pairs", CONFIG)
+
+
+def test_a_folder_with_one_more_source_becomes_what_a_fresh_one_would(sources, tmp_path):
+    config = PairConfig(total=12, validation=2, vertices=(30, 50))
+    make_pairs(sources[:1], tmp_path / "grown", config, workers=1)
+    assert read_header(tmp_path / "grown" / "ball.train.safetensors")["count"] == 12
+    for name in ("grown", "fresh"):
+        make_pairs(sources, tmp_path / name, config, workers=1)
+    assert contents(tmp_path / "grown") == contents(tmp_path / "fresh")
+    assert read_header(tmp_path / "grown" / "ball.train.safetensors")["count"] == 6
+
+
+def test_a_licence_that_is_given_later_goes_into_the_headers(sources, tmp_path):
+    for name, licences in (("one", ["not stated", "CC0"]), ("two", ["CC0"])):
+        for licence in licences:
+            make_pairs(sources[:1], tmp_path / name, CONFIG, workers=1, licence=licence)
+    assert contents(tmp_path / "one") == contents(tmp_path / "two")
+    assert read_header(tmp_path / "one" / "ball.train.safetensors")["licence"] == "CC0"
 
 
 @pytest.mark.parametrize("options, message", [
@@ -161,6 +181,7 @@ def test_two_sources_of_one_name_and_no_source_are_refused(sources, tmp_path):
     ({"per_mesh": 1, "total": 2}, "give exactly one"),
     ({"total": 0}, "at least 1"),
     ({"total": 1, "validation": -1}, "at least 0"),
+    ({"total": 1, "seed": -1}, "seed = -1: take at least 0"),
     ({"total": 1, "vertices": (300, 150)}, "a range"),
 ])
 def test_options_that_make_no_sense_are_named(options, message):

@@ -93,3 +93,14 @@ def test_the_authors_archive_gives_200_and_10_pairs(elephant, tmp_path):
 def test_a_source_of_another_kind_is_a_named_error(tmp_path):
     with pytest.raises(PairFileError, match="neither an npz"):
         import_pairs(tmp_path / "nothing", tmp_path / "out")
+
+
+def test_a_broken_npz_is_a_named_error(tmp_path):
+    whole = {"train_V2": np.zeros((6, 3)), "train_F0": np.array([[0, 1, 2]]), "train_nF0": np.array([1])}
+    np.savez(tmp_path / "lacks.npz", **whole)
+    data = (tmp_path / "lacks.npz").read_bytes()
+    (tmp_path / "cut.npz").write_bytes(data[: len(data) // 2])
+    (tmp_path / "empty.npz").write_bytes(b"")
+    for name, message in (("lacks", "train_nV"), ("cut", "not a readable npz"), ("empty", "not a readable npz")):
+        with pytest.raises(PairFileError, match=message):
+            import_pairs(tmp_path / f"{name}.npz", tmp_path / "out")

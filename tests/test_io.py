@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import struct
 import warnings
+from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -380,3 +381,36 @@ def test_what_a_glb_material_loses_is_reported(tmp_path):
     visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)
     trimesh.Trimesh(vertices, faces, visual=visual, process=False).export(tmp_path / "skin.glb")
     assert "material skin: emissiveFactor, doubleSided left out" in load(tmp_path / "skin.glb").load_report
+
+
+def test_errors_name_the_elements_of_the_file_where_unused_vertices_were_dropped(tmp_path):
+    path = tmp_path / "m.obj"
+    path.write_text("v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 0 -1 0\nf 2 3 4\nf 3 2 5\nf 2 3 6\n")
+    with pytest.raises(errors.NonManifoldEdgeError, match=r"edge \(1, 2\)"), pytest.warns(UserWarning):
+        load(path)
+    with pytest.raises(errors.NonManifoldEdgeError, match=r"edge \(1, 2\)"):
+        repair(read(path))
+    path.write_text("v 9 9 9\nv 0 0 0\nv 1 0 0\nv nan 1 0\nf 2 3 4\n")
+    with pytest.raises(errors.NonFiniteError, match="vertex 3"), pytest.warns(UserWarning):
+        load(path)
+
+
+@pytest.mark.parametrize("value, kept, line", [("255", 1.0, "count as 0 to 255"), ("1.5", 1.0, "cut to 0 to 1"),
+                                               ("-0.5", 0.0, "cut to 0 to 1")])
+def test_real_colours_of_files_are_brought_to_their_range(tmp_path, value, kept, line):
+    path = tmp_path / "m.ply"
+    path.write_text("ply\nformat ascii 1.0\nelement vertex 3\nproperty float x\nproperty float y\nproperty float z\n"
+                    "property float red\nproperty float green\nproperty float blue\nelement face 1\n"
+                    f"property list uchar int vertex_indices\nend_header\n0 0 0 {value} 0 0\n1 0 0 0 0 0\n0 1 0 0 0 0\n"
+                    "3 0 1 2\n")
+    mesh = load(path)
+    assert mesh.colors[0, 0] == kept
+    assert line in mesh.load_report[-1]
+
+
+def test_threads_may_save_to_one_file(tmp_path):
+    mesh = Mesh(*shapes.icosphere(1))
+    with ThreadPoolExecutor(4) as pool:
+        list(pool.map(lambda _: save(mesh, tmp_path / "m.ply"), range(40)))
+    assert np.array_equal(load(tmp_path / "m.ply").faces, mesh.faces)
+    assert [path.name for path in tmp_path.iterdir()] == ["m.ply"]

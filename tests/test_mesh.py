@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import copy
+import pickle
+
 import numpy as np
 import pytest
 
@@ -193,3 +196,28 @@ def test_replacing_vertices_refuses_another_number_of_them():
     mesh = Mesh(*shapes.cube())
     with pytest.raises(errors.ShapeError):
         mesh.replace_vertices(mesh.vertices[:-1])
+
+
+@pytest.mark.parametrize("copied", [copy.deepcopy, lambda mesh: pickle.loads(pickle.dumps(mesh))])
+def test_a_copy_of_a_mesh_is_as_frozen_as_the_mesh(copied):
+    mesh = Mesh(**shapes.uv_box(), face_data={"label": np.arange(12)})
+    again = copied(mesh)
+    for array in (again.vertices, again.faces, again.uv, again.uv_faces, again.face_data["label"]):
+        assert not array.flags.writeable
+    assert np.array_equal(again.topology.edges, mesh.topology.edges)
+    assert np.array_equal(again.face_data["label"], mesh.face_data["label"])
+
+
+def test_face_data_take_no_new_entries_unchecked():
+    mesh = Mesh(*shapes.cube(), face_data=None)
+    with pytest.raises(TypeError, match="assignment"):
+        mesh.face_data["label"] = np.arange(3)
+
+
+@pytest.mark.parametrize("value", [128.0, -0.5, 1.01])
+def test_a_colour_out_of_range_is_named(value):
+    vertices, faces = shapes.cube()
+    colors = np.full((len(vertices), 3), 0.5)
+    colors[3, 1] = value
+    with pytest.raises(errors.IndexRangeError, match=r"color of vertex 3 .* integers from 0 to 255"):
+        Mesh(vertices, faces, colors=colors)

@@ -99,3 +99,11 @@ def test_the_distance_equals_pymeshlabs():
     ours = distance(a, b, samples=50_000)
     assert ours.mean_forward == pytest.approx(theirs["mean"], rel=0.02)
     assert ours.max_forward == pytest.approx(theirs["max"], rel=0.02)
+
+
+def test_what_cannot_be_measured_is_named():
+    ball = Mesh(*shapes.icosphere(1))
+    with pytest.raises(ValueError, match="seed = -1"):
+        distance(ball, ball, seed=-1)
+    with pytest.raises(TypeError, match="reference is a str: load a file"):
+        distance(ball, "ball.obj")

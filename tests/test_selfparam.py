@@ -289,6 +289,7 @@ def test_without_the_angle_a_corner_may_be_cut():
     ({"n_faces": 9, "strategy": "fast"}, r"strategy 'fast' is not one of quadric, random.*numba\.cfunc"),
     ({"n_faces": 9, "strategy": len}, r"strategy .*len.* is no compiled function\. Decorate it with @numba\.cfunc"),
     ({"n_faces": 9, "flattening": "tutte"}, r"flattening 'tutte' is not one of conformal, uniform"),
+    ({"n_faces": 9, "strategy": "random", "seed": -1}, r"seed = -1: take at least 0"),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for_is_refused(options, message):
     with pytest.raises(DecimationError, match=message):

@@ -10,7 +10,7 @@ from safetensors.numpy import save_file
 
 import shapes
 from decimatable import OPEN, SHAPES, decimated, mesh_of, meshes
-from neusub.errors import ParameterizationError
+from neusub.errors import ParameterizationError, TooLargeError
 from neusub.mesh import Mesh
 from neusub.selfparam import STRATEGIES, SelfParameterization, decimate
 from neusub.topology import topology_levels
@@ -368,6 +368,16 @@ def test_a_file_that_holds_no_map_is_refused(tmp_path, write, message):
 def test_a_bad_point_is_refused(direction, faces, barycentric, message):
     with pytest.raises(ParameterizationError, match=message):
         getattr(decimated("torus"), direction)(faces, barycentric)
+
+
+def test_a_point_in_a_face_that_is_not_there_has_no_position():
+    with pytest.raises(ParameterizationError, match="point 0 lies in face -1"):
+        decimated("torus").points(np.array([-1]), np.array([[1.0, 0, 0]]))
+
+
+def test_levels_that_cannot_fit_into_memory_are_refused():
+    with pytest.raises(TooLargeError, match="at 20 levels"):
+        decimated("torus").transfer(np.zeros(384), levels=20)
 
 
 def test_a_signal_of_another_mesh_is_refused():

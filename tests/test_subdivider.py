@@ -93,6 +93,32 @@ def test_a_missing_or_broken_model_is_a_named_error(tmp_path):
         Subdivider.load(tmp_path / "m.safetensors")
 
 
+@pytest.mark.parametrize("entry, message", [
+    ({"architecture": None}, "architecture is None"),
+    ({"architecture": [32, 29]}, "architecture is"),
+    ({"input": "foo"}, "input is 'foo': take one of on_surface, decimated"),
+    ({"scale": {"box": 1.0}}, "scale is .* give the training's box and edge"),
+    ({"scale": {"box": 1.0, "edge": 0.0}}, "above 0"),
+    ({"scale": 1.0}, "scale is 1.0"),
+])
+def test_a_broken_card_is_a_named_error(tmp_path, model, entry, message):
+    with pytest.raises(ModelError, match=message):
+        Subdivider(model.network, {**CARD, **entry})
+    good = Subdivider(model.network, CARD)
+    good.card = {**CARD, **entry}
+    good.save(tmp_path / "m.safetensors")
+    with pytest.raises(ModelError, match=message):
+        Subdivider.load(tmp_path / "m.safetensors")
+
+
+def test_weights_that_are_not_finite_are_named_when_they_are_loaded(tmp_path):
+    model = Subdivider.load(device="cpu")
+    model.network.edge.last.bias[0] = float("nan")
+    model.save(tmp_path / "m.safetensors")
+    with pytest.raises(ModelError, match=r"edge\.last\.bias are not all finite"):
+        Subdivider.load(tmp_path / "m.safetensors")
+
+
 @pytest.mark.parametrize("levels, scale", [(0, "edge"), (2, "furlong")])
 def test_wrong_options_are_named(model, levels, scale):
     with pytest.raises(ValueError, match=r"level|scale"):

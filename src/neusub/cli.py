@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import os
 import sys
 import warnings
+from io import TextIOWrapper
 from pathlib import Path
 from typing import Literal
 
@@ -305,11 +307,18 @@ def main() -> None:
     from neusub.errors import NeusubError
 
     warnings.showwarning = lambda message, *_: say(f"neusub: {message}", error=True)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # a terminal's encoding may lack what a file's name has
     try:
         status = app.cli(prog="neusub", description="Data-driven subdivision of triangle meshes.")
+        sys.stdout.flush()
     except NeusubError as error:
         say(f"neusub: {type(error).__name__}: {error}", error=True)
         status = 1
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())  # what is left would go into the pipe at exit
+        status = 141
     except KeyboardInterrupt:
         say("neusub: interrupted", error=True)
         status = 130

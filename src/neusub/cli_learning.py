@@ -117,7 +117,7 @@ def train_command(
     Args:
         pairs: Pair files, or folders that 'neusub pairs' or 'neusub import-pairs' wrote.
         out: Folder for the model, checkpoint.safetensors, log.csv and TensorBoard events.
-        validation: Pair files to choose the best epoch by.
+        validation: Pair files, or folders of them, to choose the best epoch by.
         preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs; default:
             the network that 'neusub subdivide' uses, which knows no scale and has bounds; default-decimated: the same
             for decimated vertices.
@@ -146,11 +146,14 @@ def train_command(
     def work(_: Path) -> list[str]:
         from neusub.generation import pair_files
 
-        training, held_out = [], list(validation)
+        training, held_out = [], []
         for path in pairs:
             files = pair_files(path) if path.is_dir() else ([path], [])
             training += files[0]
             held_out += [] if validation else files[1]
+        for path in validation:
+            files = pair_files(path) if path.is_dir() else ([], [path])
+            held_out += files[1] or files[0]
         config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
         result = train_with_progress(training, held_out, out, config, start, resume)
         return [f"best validation loss {result.best_loss:.6e} in epoch {result.best_epoch} of {result.epochs}, "

@@ -21,15 +21,21 @@ def say(line: str, *, error: bool = False) -> None:
     (sys.stderr if error else sys.stdout).write(f"{line}\n")
 
 
+def is_folder(inputs: tuple[Path, ...], output: Path) -> bool:
+    """Whether the output is a folder: with several inputs, where it is one, and where its name has no extension."""
+    return len(inputs) > 1 or output.is_dir() or not output.suffix
+
+
 def check_output(inputs: tuple[Path, ...], output: Path) -> None:
-    """With several inputs the output is a folder, which is made; two inputs never share a name there."""
-    if len(inputs) <= 1:
+    """Where the output is a folder it is made; two inputs never share a name there."""
+    if not is_folder(inputs, output):
         return
     from neusub.errors import MeshFileError
     from neusub.io import KINDS
 
     if output.suffix.lower() in KINDS or output.is_file():
-        raise MeshFileError(f"{output}: with {len(inputs)} inputs the output is a folder. Give one with -o.")
+        raise MeshFileError(f"{output}: with several inputs, or no extension, the output is a folder. Give one with "
+                            "-o.")
     names = [path.name for path in inputs]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
@@ -39,7 +45,7 @@ def check_output(inputs: tuple[Path, ...], output: Path) -> None:
 
 def level_files(path: Path, inputs: tuple[Path, ...], output: Path, levels: int | None) -> list[Path]:
     """Where the results of one input go: one file, or NAME.level0 ... for each of so many levels."""
-    target = output / path.name if len(inputs) > 1 or output.is_dir() else output
+    target = output / path.name if is_folder(inputs, output) else output
     if levels is None:
         return [target]
     return [Path(f"{target.with_suffix('')}.level{k}{target.suffix}") for k in range(levels + 1)]
@@ -72,6 +78,8 @@ def for_each(paths: tuple[Path, ...], work: Callable[[Path], list[str]]) -> int:
         try:
             for line in work(path):
                 say(line)
+        except BrokenPipeError:  # who reads has seen enough: no failure of this mesh
+            raise
         except (NeusubError, ValueError, OSError) as error:
             failed += 1
             say(f"neusub: {path}: {type(error).__name__}: {error}", error=True)

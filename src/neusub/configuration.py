@@ -148,8 +148,9 @@ class PairConfig:
             value = getattr(self, name)
             if value is not None and value < 1:
                 raise ValueError(f"{name} = {value}: take at least 1.")
-        if self.validation < 0:
-            raise ValueError(f"validation = {self.validation}: take at least 0.")
+        for name in ("validation", "seed"):
+            if getattr(self, name) < 0:
+                raise ValueError(f"{name} = {getattr(self, name)}: take at least 0.")
         if not 4 <= self.vertices[0] <= self.vertices[1]:
             raise ValueError(f"vertices = {self.vertices}: take a range from at least 4 upwards.")
 

@@ -23,13 +23,21 @@ def marked_creases(topology: Topology, vertices: Float64[ndarray, "nV 3"], creas
 
 
 def crease_mask(topology: Topology, creases: ndarray) -> Bool[ndarray, " nE"]:
-    """Creases as a mask over edges, from a mask, from edge indices (n,) or from vertex pairs (n, 2), in any order."""
+    """Creases as a mask over edges, from a mask, from edge indices (n,) or from vertex pairs (n, 2), in any order.
+
+    Raises ValueError for what is none of these, and for an edge that is not there.
+    """
     creases = np.asarray(creases)
     n_edges, n = len(topology.edges), topology.n_vertices
     if creases.dtype == bool:
         if creases.shape != (n_edges,):
             raise ValueError(f"crease mask has shape {creases.shape}: expected one entry per edge, ({n_edges},)")
         return creases
+    if not creases.size:
+        return np.zeros(n_edges, dtype=bool)
+    if creases.dtype.kind not in "iu" or creases.shape[1:] not in ((), (2,)) or not creases.ndim:
+        raise ValueError(f"creases have shape {creases.shape} and type {creases.dtype}: take a mask over the edges, "
+                         "integers (n,) that are edges, or (n, 2) that are vertices.")
     index = creases.astype(np.int64)
     if creases.ndim == 2:
         pairs = np.sort(index, axis=1)

@@ -95,6 +95,7 @@ class _Task:
     split: str
     first: int
     last: int
+    total: int  # pairs of this source and split
     part: Path
 
 
@@ -113,7 +114,8 @@ def make_pairs(
     config: how many, which sizes, seed.  workers: threads (all cores by default); within `joblib.parallel_config` any
     other backend, processes and clusters too.  strict: the first source that fails ends it all; otherwise the others
     go on and the report says why it failed.  on_task is called with the number of tasks done, and of all.
-    An interrupted call, repeated, goes on where it was and ends with the same files.
+    An interrupted call, repeated, goes on where it was and ends with the same files; with another licence their headers
+    change, with more sources the numbers of pairs that `total` gives each.
     Raises: PairFileError for no sources, two of one name, or a folder with other options; strict: the source's error.
     """
     config, folder = config or PairConfig(per_mesh=1), Path(folder)
@@ -153,6 +155,8 @@ def make_pairs(
 
 
 def checked_sources(sources: Sequence[str | Path]) -> list[Path]:
+    if isinstance(sources, (str, Path)):
+        raise PairFileError(f"the sources are a single {type(sources).__name__}. Give a list of mesh files.")
     paths = [Path(source) for source in sources]
     if not paths:
         raise PairFileError("there are no sources. Give at least one fine mesh.")
@@ -174,7 +178,7 @@ def checked_folder(folder: Path, config: PairConfig) -> dict[str, Any]:
 
 
 def tasks_of(source: Path, source_hash: str, split: str, count: int, folder: Path) -> list[_Task]:
-    return [_Task(source, source_hash, split, first, min(first + BLOCK, count),
+    return [_Task(source, source_hash, split, first, min(first + BLOCK, count), count,
                   folder / ".parts" / f"{source.stem}.{split}.{first:06d}.safetensors")
             for first in range(0, count, BLOCK)]
 
@@ -184,8 +188,12 @@ def final_file(task: _Task) -> Path:
 
 
 def is_done(path: Path, task: _Task) -> bool:
-    """Whether a file is there and of this very source."""
-    return path.exists() and read_header(path).get("source_hash") == task.source_hash
+    """Whether a file is there, of this very source, with as many pairs: those of a task, or all."""
+    if not path.exists():
+        return False
+    header = read_header(path)
+    wanted = task.last - task.first if path == task.part else task.total
+    return (header.get("source_hash"), header.get("count")) == (task.source_hash, wanted)
 
 
 def run_tasks(tasks: list[_Task], config: PairConfig, options: dict,
@@ -225,6 +233,9 @@ def merge_all(tasks: list[_Task], failed: dict[str, str], options: dict, licence
         first = group[0]
         files[first.split].append(path)
         if is_done(path, first):
+            header = read_header(path)
+            if header["licence"] != licence:
+                save_pairs(load_pairs(path), path, {**header, "licence": licence})
             continue
         pairs = [pair for task in group for pair in load_pairs(task.part)]
         reports = [report for task in group for report in read_header(task.part)["reports"]]

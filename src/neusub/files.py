@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,7 +25,7 @@ def replacing(path: str | Path) -> Iterator[Path]:
         raise MeshFileError(f"{path} is a folder. Give a file's name.")
     if not path.parent.is_dir():
         raise MeshFileError(f"{path}: the folder {path.parent} does not exist. Make it first.")
-    new = path.with_name(f".{path.stem}.part{os.getpid()}{path.suffix}")
+    new = path.with_name(f".{path.stem}.part{os.getpid()}-{threading.get_ident()}{path.suffix}")
     try:
         new.touch()  # with the permissions of an ordinary file, whatever the writer would choose
         mode = new.stat().st_mode

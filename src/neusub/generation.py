@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, get_args
+from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -191,7 +192,13 @@ def import_pairs(source: str | Path, folder: str | Path, *, licence: str = "not 
     """
     source, folder = Path(source), Path(folder)
     if source.is_file() and source.suffix == ".npz":
-        splits = _read_npz(source)
+        try:
+            splits = _read_npz(source)
+        except KeyError as error:
+            raise PairFileError(f"{source}: {error.args[0]}. An npz of pairs has {{train,valid}}_V2, _nV, _F0, _nF0.") \
+                from None
+        except (OSError, EOFError, ValueError, BadZipFile) as error:
+            raise PairFileError(f"{source}: not a readable npz of pairs ({error}). Get it again.") from None
         origin = {"source": source.name, "source_hash": file_hash(source), "licence": licence}
     elif source.is_dir():
         roots = {"train": source} if (source / "subd0").is_dir() else {"train": source / "train",
@@ -229,7 +236,8 @@ def _read_npz(source: Path) -> dict[str, list[Pair]]:
 def _read_obj_levels(root: Path) -> list[Pair]:
     from neusub.io import read
 
-    folders = sorted(root.glob("subd*"), key=lambda path: int(path.name[4:]))
+    folders = sorted((path for path in root.glob("subd*") if path.name[4:].isdigit()),
+                     key=lambda path: int(path.name[4:]))
     pairs = []
     for coarse in sorted((root / "subd0").glob("*.obj")):
         meshes = [read(folder / coarse.name) for folder in folders]

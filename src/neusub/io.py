@@ -183,6 +183,8 @@ def _parse_stl(data: bytes, path: Path) -> RawMesh:
         raise MeshFileError(f"{path}: the file ends within its facets. It is truncated: get it again.")
     content = load_stl(io.BytesIO(data))
     if "faces" not in content:
+        if not (is_text and b"facet normal" in data):
+            raise MeshFileError(f"{path}: the file has no facets. Get it again.")
         raise MeshFileError(f"{path}: several solids in one STL file are not read. Save them as one.")
     vertices = np.asarray(content["vertices"], dtype=np.float64)
     raw = RawMesh(vertices, np.asarray(content["faces"], dtype=np.int64).reshape(-1, 3))

@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field, fields
 from functools import cached_property
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -31,7 +32,7 @@ from neusub.errors import (
 )
 from neusub.topology import Topology, build_topology, refine_corners
 
-__all__ = ["Material", "Mesh", "face_edge_groups", "find_problems", "vertex_fans"]
+__all__ = ["Material", "Mesh", "check_is_mesh", "face_edge_groups", "find_problems", "vertex_fans"]
 
 FARTHEST = 1e75  # coordinate: squares of areas stay finite
 
@@ -100,8 +101,17 @@ class Mesh:
         for array in [*values.values(), *values["face_data"].values()]:
             if isinstance(array, ndarray):
                 array.flags.writeable = False
+        if not isinstance(values["face_data"], MappingProxyType):
+            values["face_data"] = MappingProxyType(values["face_data"])
         for name, value in values.items():
             object.__setattr__(self, name, value)
+
+    def __getstate__(self) -> dict[str, Any]:
+        return {**self.__dict__, "face_data": dict(self.face_data)}
+
+    def __setstate__(self, state: dict[str, Any]) -> None:
+        """Frozen again: arrays come writable out of a pickle or a copy."""
+        self._fill(**state)
 
     @cached_property
     def topology(self) -> Topology:
@@ -156,6 +166,12 @@ class Mesh:
 
     def _values(self) -> dict[str, Any]:
         return {f.name: getattr(self, f.name) for f in fields(self)}
+
+
+def check_is_mesh(mesh: Any, name: str = "mesh") -> None:
+    """Raises TypeError."""
+    if not isinstance(mesh, Mesh):
+        raise TypeError(f"{name} is a {type(mesh).__name__}: load a file with neusub.load, or build a neusub.Mesh.")
 
 
 def find_problems(vertices: ndarray, faces: ndarray) -> list[MeshError]:
@@ -364,11 +380,17 @@ def checked_colors(colors: Any, n_vertices: int) -> Float64[ndarray, "nV C"] | N
         raise ShapeError(f"colors has {len(array)} rows for {n_vertices} vertices: give one for each.")
     if not np.isfinite(array).all():
         raise NonFiniteError("colors has a value that is not finite. Give values in [0, 1].")
-    return array / 255.0 if is_integer else array
+    array = array / 255.0 if is_integer else array
+    bad = ((array < 0) | (array > 1)).any(axis=1)
+    if bad.any():
+        v = int(np.argmax(bad))
+        raise IndexRangeError(f"the color of vertex {v} is {_row(np.asarray(colors)[v])}{_more(bad.sum(), 'vertex')}. "
+                              "Give values in [0, 1], or integers from 0 to 255.")
+    return array
 
 
-def checked_face_data(face_data: Mapping[str, Any], n_faces: int, n_materials: int) -> dict[str, ndarray]:
-    checked = {name: np.array(values) for name, values in face_data.items()}
+def checked_face_data(face_data: Mapping[str, Any] | None, n_faces: int, n_materials: int) -> dict[str, ndarray]:
+    checked = {name: np.array(values) for name, values in (face_data or {}).items()}
     for name, values in checked.items():
         if values.ndim == 0 or len(values) != n_faces:
             raise ShapeError(f"face_data[{name!r}] has shape {values.shape} for {n_faces} faces: give a row for each.")

@@ -13,7 +13,7 @@ from jaxtyping import Float64, Int64
 from numpy import ndarray
 from numpy.random import Generator
 
-from neusub.mesh import Mesh
+from neusub.mesh import Mesh, check_is_mesh
 
 __all__ = ["Distance", "distance", "face_normals", "point_distance", "sample_surface", "triangle_quality"]
 
@@ -71,10 +71,12 @@ def distance(result: Mesh, reference: Mesh, samples: int = 20_000, seed: int = 0
     """Both one-sided distances between two surfaces.
 
     samples: points on each surface.  H takes the vertices in, M and the RMS do not, as vertices are not uniform.
-    Raises ValueError for fewer than one sample.
+    Raises ValueError for fewer than one sample or a seed below 0, TypeError for what is no mesh.
     """
-    if samples < 1:
-        raise ValueError(f"samples = {samples}: take at least one.")
+    check_is_mesh(result, "result")
+    check_is_mesh(reference, "reference")
+    if samples < 1 or seed < 0:
+        raise ValueError(f"samples = {samples}, seed = {seed}: take at least one sample, and a seed from 0.")
     rng = np.random.default_rng(seed)
     points, faces = sample_surface(result, samples, rng)
     forward, closest_face, _ = point_distance(points, reference)

@@ -8,7 +8,8 @@ import numpy as np
 from jaxtyping import Float64, Int64
 from numpy import ndarray
 
-from neusub.mesh import EdgeGroups, Material, Mesh, face_edge_groups, vertex_fans
+from neusub.errors import MeshError
+from neusub.mesh import EdgeGroups, Material, Mesh, face_edge_groups, find_problems, vertex_fans
 
 __all__ = ["RawMesh", "bad_vertices", "split_at_seams", "triangulate", "weld"]
 
@@ -25,19 +26,37 @@ class RawMesh:
     face_data: dict[str, ndarray] = field(default_factory=dict)
     materials: tuple[Material, ...] = ()
     report: list[str] = field(default_factory=list)
+    numbered: tuple[ndarray, ndarray] | None = None  # vertices and faces with the numbers that errors name
 
     def checked(self) -> Mesh:
         """The mesh, with the report as its load report.  Raises: the `MeshError`s of `Mesh`."""
-        return Mesh(
-            vertices=self.vertices,
-            faces=self.faces,
-            uv=self.uv,
-            uv_faces=self.uv_faces,
-            colors=self.colors,
-            face_data=self.face_data,
-            materials=self.materials,
-            load_report=tuple(self.report),
-        )
+        self.bring_colors_to_range()
+        try:
+            return Mesh(
+                vertices=self.vertices,
+                faces=self.faces,
+                uv=self.uv,
+                uv_faces=self.uv_faces,
+                colors=self.colors,
+                face_data=self.face_data,
+                materials=self.materials,
+                load_report=tuple(self.report),
+            )
+        except MeshError as error:
+            before = [] if self.numbered is None else find_problems(*self.numbered)
+            raise next((problem for problem in before if type(problem) is type(error)), error) from None
+
+    def bring_colors_to_range(self) -> None:
+        """Colours that a file gives as real numbers, to 0 .. 1, in place."""
+        if self.colors is None or self.colors.dtype.kind != "f" or not np.isfinite(self.colors).all():
+            return
+        low, high = self.colors.min(initial=0), self.colors.max(initial=0)
+        if 1 < high <= 255 and (self.colors == np.rint(self.colors)).all():
+            self.report.append(f"colours are whole numbers up to {high:g}: they count as 0 to 255")
+            self.colors = self.colors / 255
+        elif high > 1 or low < 0:
+            self.report.append(f"colours from {low:g} to {high:g} are cut to 0 to 1")
+        self.colors = self.colors.clip(0, 1)
 
     def take_faces(self, keep: ndarray) -> None:
         """Keep the faces `keep` (indices or a mask) and what lies on them, in place."""
@@ -50,6 +69,7 @@ class RawMesh:
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces] = True
         if not used.all():
+            self.numbered = self.numbered or (self.vertices, self.faces)
             self.faces = (np.cumsum(used) - 1)[self.faces]
             self.vertices = self.vertices[used]
             self.colors = None if self.colors is None else self.colors[used]

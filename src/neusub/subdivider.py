@@ -27,7 +27,7 @@ from neusub.errors import ModelError
 from neusub.files import replacing
 from neusub.flaps import level_flaps
 from neusub.memory import check_fits, freed_memory_kept
-from neusub.mesh import Mesh
+from neusub.mesh import Mesh, check_is_mesh
 from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivide_classic, subdivision_operator
 from neusub.topology import Topology, connected_components, topology_levels
@@ -51,9 +51,7 @@ class Subdivider:
     """A trained network and its card.  The card's `scale` gives the training's unit box and mean coarse edge."""
 
     def __init__(self, network: NeuralSubdivision, card: dict[str, Any]):
-        missing = {"architecture", "input", "scale"} - card.keys()
-        if missing:
-            raise ModelError(f"the model's card lacks {', '.join(sorted(missing))}. Save it with Subdivider.save.")
+        check_card(card)
         self.network = network.eval().requires_grad_(False)
         self.card = card
 
@@ -76,12 +74,16 @@ class Subdivider:
         if header.get("format") != FORMAT:
             raise ModelError(f"{path}: the header's format is {header.get('format')!r}, not {FORMAT!r}.")
         card = {key: value for key, value in header.items() if key not in ("format", "version")}
-        architecture = card.get("architecture", {})
+        check_card(card)
+        architecture = card["architecture"]
         try:
             network = NeuralSubdivision(checked_architecture(architecture))
             network.load_state_dict(weights)
         except (KeyError, RuntimeError, TypeError, ValueError) as error:
             raise ModelError(f"{path}: the weights do not fit the architecture {architecture} ({error}).") from None
+        bad = next((name for name, values in weights.items() if not values.isfinite().all()), None)
+        if bad:
+            raise ModelError(f"{path}: the weights {bad} are not all finite. Train it again, or get it again.")
         return cls(network.to(resolve_device(device), dtype), card)
 
     def save(self, path: str | Path) -> None:
@@ -233,6 +235,22 @@ def has_thin_faces(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF
     return bool(((doubled > 0) & (doubled < THIN * np.abs(vertices).max() * longest)).any())
 
 
+def check_card(card: dict[str, Any]) -> None:
+    """Raises ModelError where a card lacks what a model needs."""
+    missing = {"architecture", "input", "scale"} - card.keys()
+    if missing:
+        raise ModelError(f"the model's card lacks {', '.join(sorted(missing))}. Save it with Subdivider.save.")
+    if not isinstance(card["architecture"], dict):
+        raise ModelError(f"the card's architecture is {card['architecture']!r}, not its options by name. Save it with "
+                         "Subdivider.save.")
+    if card["input"] not in get_args(Input):
+        raise ModelError(f"the card's input is {card['input']!r}: take one of {', '.join(get_args(Input))}.")
+    scale = card["scale"]
+    if not isinstance(scale, dict) or not all(isinstance(scale.get(key), (int, float)) and scale[key] > 0
+                                              for key in ("box", "edge")):
+        raise ModelError(f"the card's scale is {scale!r}: give the training's box and edge, both above 0.")
+
+
 def checked_architecture(entries: dict[str, Any]) -> Architecture:
     """A card's architecture.  Raises KeyError, TypeError or ValueError where it is none."""
     entries = {key: value for key, value in entries.items() if key != "kind"}
@@ -275,8 +293,7 @@ def subdivide(
     Raises ValueError for an unknown scheme, negative levels, or creases with midpoint; TooLargeError for more levels
     than fit into memory; TypeError for what is no mesh.
     """
-    if not isinstance(mesh, Mesh):
-        raise TypeError(f"mesh is a {type(mesh).__name__}: load a file with neusub.load, or build a neusub.Mesh.")
+    check_is_mesh(mesh)
     if scheme not in get_args(Scheme):
         raise ValueError(f"unknown scheme {scheme!r}: take one of {', '.join(get_args(Scheme))}.")
     if levels < 0 or limit_levels < 0:

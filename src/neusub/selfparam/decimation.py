@@ -11,7 +11,7 @@ from numpy import ndarray
 
 from neusub.compilation import announce
 from neusub.errors import DecimationError
-from neusub.mesh import Mesh
+from neusub.mesh import Mesh, check_is_mesh
 from neusub.selfparam.appearance import attribute_quadrics, seam_holds
 from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_edges, first_null_edge, offer_all, run
 from neusub.selfparam.criteria import REASONS, Criteria
@@ -57,11 +57,15 @@ def decimate(
     sharp_boundary_angle: degrees; boundary vertices that turn by more never move.
     on_progress: called now and then with the vertices (or faces) that are left, and the target.
     A target that cannot be reached gives a result with `reached=False` and the refused collapses counted by reason.
-    Raises: DecimationError unless there is exactly one target, from 1 to what the mesh has; for an unknown strategy.
+    Raises: DecimationError unless there is exactly one target, from 1 to what the mesh has; for an unknown strategy, or
+    a seed below 0; TypeError for what is no mesh.
     Source: Liu et al. 2020, section 4.1 and appendix B; DESIGN.md 4 for boundaries.
     """
+    check_is_mesh(mesh)
     targets = checked_targets(mesh, n_vertices, n_faces)
     plan, user = checked_strategy(strategy)
+    if seed < 0:
+        raise DecimationError(f"seed = {seed}: take at least 0.")
     work, order, frame = prepare(mesh, plan, targets, seed, criteria or Criteria(), flattening, sharp_boundary_angle)
     announce(run, "the decimation kernels")
     work, status = collapse_all(work, user, targets, on_progress)

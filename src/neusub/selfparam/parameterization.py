@@ -17,6 +17,7 @@ from numpy import ndarray
 from neusub import __version__
 from neusub.errors import ParameterizationError
 from neusub.files import replacing
+from neusub.memory import check_fits
 from neusub.mesh import Mesh
 from neusub.selfparam.mapping import Charts, go_down, go_up
 from neusub.topology import counting_order, topology_levels
@@ -85,7 +86,8 @@ class SelfParameterization:
         return face
 
     def points(self, faces: Int64[ndarray, " n"], barycentric: Float64[ndarray, "n 3"]) -> Float64[ndarray, "n 3"]:
-        """Positions of points of the fine mesh."""
+        """Positions of points of the fine mesh.  Raises: ParameterizationError for a face that is not there."""
+        check_faces(np.asarray(faces), len(self.fine.faces))
         return weighted(self.fine.vertices, self.fine.faces[faces], barycentric)
 
     # --- signals ---
@@ -182,6 +184,13 @@ class SelfParameterization:
 # --- points ------------------------------------------------------------------------------------------------------
 
 
+def check_faces(faces: ndarray, n_faces: int) -> None:
+    bad = (faces < 0) | (faces >= n_faces)
+    if bad.any():
+        at = int(np.argmax(bad))
+        raise ParameterizationError(f"point {at} lies in face {faces[at]}, but there are {n_faces} faces.")
+
+
 def checked_points(faces: Any, barycentric: Any, n_faces: int) -> tuple[ndarray, ndarray]:
     """Copies, checked: indices in range, coordinates finite, not negative, of sum one (up to rounding)."""
     faces = np.array(faces)
@@ -189,10 +198,7 @@ def checked_points(faces: Any, barycentric: Any, n_faces: int) -> tuple[ndarray,
     if faces.dtype.kind not in "iu" or faces.ndim != 1 or points.shape != (len(faces), 3):
         raise ParameterizationError(f"faces {faces.shape} and barycentric {points.shape}: give n indices and (n, 3) "
                                     "coordinates.")
-    bad = (faces < 0) | (faces >= n_faces)
-    if bad.any():
-        at = int(np.argmax(bad))
-        raise ParameterizationError(f"point {at} lies in face {faces[at]}, but there are {n_faces} faces.")
+    check_faces(faces, n_faces)
     sums = points.sum(axis=1)
     bad = ~((points.min(axis=1, initial=1.0) >= -1e-9) & (np.abs(sums - 1) <= 1e-6))
     if bad.any():
@@ -244,10 +250,11 @@ class Refinement(NamedTuple):
 def refinement(faces: Int64[ndarray, "nF 3"], n_vertices: int, levels: int) -> Refinement:
     """The `levels`-th midpoint refinement; each coordinate is a sum of halves, quarters, ...: exact.
 
-    Raises: ParameterizationError for a negative level.
+    Raises: ParameterizationError for a negative level; TooLargeError for more levels than fit into memory.
     """
     if levels < 0:
         raise ParameterizationError(f"levels = {levels}: take 0 or more.")
+    check_fits(len(faces), levels)
     at, barycentric = corner_points(faces, n_vertices)
     topologies, refined = topology_levels(faces, n_vertices, levels)
     sizes = [n_vertices]
