@@ -70,7 +70,7 @@ def write_obj(path, vertices, faces):
 
 def test_folders_of_obj_levels_are_imported(pairs, tmp_path):
 
-    for level in range(3):
+    for level in (0, 1, 2, "_old"):
         (tmp_path / f"in/subd{level}").mkdir(parents=True)
     for k, pair in enumerate(pairs):
         connectivity = [t.faces for t in pair.topologies] + [pair.topologies[-1].refined_faces]
@@ -80,6 +80,9 @@ def test_folders_of_obj_levels_are_imported(pairs, tmp_path):
     for was, now in zip(pairs, load_pairs(path)):
         assert np.array_equal(was.faces, now.faces)
         assert np.allclose(was.targets, now.targets, atol=1e-6)
+    (tmp_path / "out" / "manifest.json").write_text("{}")
+    with pytest.raises(PairFileError, match="holds pairs of other meshes already"):
+        import_pairs(tmp_path / "in", tmp_path / "out")
 
 
 def test_the_authors_archive_gives_200_and_10_pairs(elephant, tmp_path):

@@ -43,7 +43,7 @@ def subdivide_command(
         output: A file; with several inputs, a folder.
         scheme: The network, or a classical scheme.
         model: A model's name (see 'neusub models') or its file.
-        levels: How often each triangle is split into four.
+        levels: How often each triangle is split into four; by the network at least once.
         limit_levels: Levels of classic Loop after the network's.
         input: Where the coarse vertices lie, if not on the surface: 'decimated' for meshes that a decimation made.
         scale: What is brought to the training's scale: each part's mean edge, the whole box, or nothing.

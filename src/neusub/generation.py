@@ -209,6 +209,8 @@ def import_pairs(source: str | Path, folder: str | Path, *, licence: str = "not 
         splits, origin = {}, {}
     if not splits:
         raise PairFileError(f"{source}: neither an npz with train_V2 nor a folder with subd0, subd1, ...")
+    if (folder / "manifest.json").exists():
+        raise PairFileError(f"{folder} holds pairs of other meshes already (manifest.json). Choose another folder.")
     folder.mkdir(parents=True, exist_ok=True)
     paths = []
     for split, pairs in splits.items():

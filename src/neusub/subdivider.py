@@ -290,8 +290,8 @@ def subdivide(
     limit_levels: levels of Loop after that.  model, scale, input, device: of the neural scheme (`Subdivider`).  creases
     (edges as vertex pairs) or crease_angle (degrees): edges that stay sharp; midpoint has no use for them.
     uncross: no faces cross or turn over that do not in the midpoint refinement of the level before (`crossing.py`).
-    Raises ValueError for an unknown scheme, negative levels, or creases with midpoint; TooLargeError for more levels
-    than fit into memory; TypeError for what is no mesh.
+    Raises ValueError for an unknown scheme, levels below 0 (below 1 of the network), or creases with midpoint;
+    TooLargeError for more levels than fit into memory; TypeError for what is no mesh.
     """
     check_is_mesh(mesh)
     if scheme not in get_args(Scheme):
