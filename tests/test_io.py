@@ -414,3 +414,15 @@ def test_threads_may_save_to_one_file(tmp_path):
         list(pool.map(lambda _: save(mesh, tmp_path / "m.ply"), range(40)))
     assert np.array_equal(load(tmp_path / "m.ply").faces, mesh.faces)
     assert [path.name for path in tmp_path.iterdir()] == ["m.ply"]
+
+
+@pytest.mark.parametrize("kind", [".stl", ".glb"])
+def test_single_precision_that_is_too_coarse_for_a_mesh_is_told(tmp_path, kind):
+    vertices, faces = shapes.icosphere(1)
+    near, far = Mesh(vertices, faces), Mesh(0.01 * vertices + 500_000, faces)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        save(near, tmp_path / f"near{kind}")
+        save(far, tmp_path / "far.ply")
+    with pytest.warns(UserWarning, match=r"steps of 0\.031 .* where edges are 0\.00\d+ long"):
+        save(far, tmp_path / f"far{kind}")

@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 __all__ = ["KINDS", "RawMesh", "load", "read", "save"]
 
 KINDS = (".obj", ".ply", ".stl", ".off", ".glb")
+SINGLE = (".stl", ".glb")  # hold coordinates in single precision
 
 
 def read(path: str | os.PathLike[str]) -> RawMesh:
@@ -83,6 +84,7 @@ def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> No
     """Write the mesh, and its MTL and texture files beside it; each file appears whole or not at all.
 
     A texture never takes the place of another picture: it is written as NAME_TEXTURE then, NAME being the mesh file's.
+    Warns where the single precision of STL and GLB is too coarse for the mesh.
     Raises: MeshFileError for an unknown extension, a missing or unwritable folder, and, without `overwrite`, a file
     that exists.
     """
@@ -95,6 +97,7 @@ def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> No
         raise MeshFileError(f"the folder {folder} does not exist. Make it first.")
     if path.exists() and not overwrite:
         raise MeshFileError(f"{path} exists. Allow overwriting, or give another name.")
+    _warn_of_single_precision(mesh, path)
     files = writer(mesh, path.stem)
     own = (path.stem + path.suffix.lower(), f"{path.stem}.mtl")
     others = [content for name, content in files.items() if name not in own and _differs(folder / name, content)]
@@ -109,6 +112,19 @@ def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> No
             raise MeshFileError(f"{target} exists. Allow overwriting, or give another name.")
         _write_whole(target, content)
     _write_whole(path, main)
+
+
+def _warn_of_single_precision(mesh: Mesh, path: Path) -> None:
+    """Say so where the format's numbers move vertices by a hundredth of an edge: small meshes far from the origin."""
+    if path.suffix.lower() not in SINGLE:
+        return
+    step = float(np.spacing(np.float32(np.abs(mesh.vertices).max())))
+    a, b, _ = (mesh.vertices[column] for column in mesh.faces.T)
+    edge = float(np.median(np.linalg.norm(a - b, axis=1)))
+    if step > edge / 100:
+        warnings.warn(f"{path}: {path.suffix[1:].upper()} has single precision, steps of {step:.2g} at these "
+                      f"coordinates, where edges are {edge:.2g} long. Move the mesh to the origin, or write OBJ or PLY.",
+                      stacklevel=3)
 
 
 def _differs(path: Path, content: bytes) -> bool:
