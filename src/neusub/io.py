@@ -123,7 +123,7 @@ def _warn_of_single_precision(mesh: Mesh, path: Path) -> None:
     edge = float(np.median(np.linalg.norm(a - b, axis=1)))
     if step > edge / 100:
         warnings.warn(f"{path}: {path.suffix[1:].upper()} has single precision, steps of {step:.2g} at these "
-                      f"coordinates, where edges are {edge:.2g} long. Move the mesh to the origin, or write OBJ or PLY.",
+                      f"coordinates, where edges are {edge:.2g} long. Move it to the origin, or write OBJ or PLY.",
                       stacklevel=3)
 
 
