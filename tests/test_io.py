@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 from PIL import Image
 
 import shapes
@@ -181,6 +182,41 @@ def test_ply_joins_across_a_normal_seam_only(tmp_path):
         rows = "".join(f"{p} {n}\n" for p, n in zip(places, normals))
         mesh = load(_written(tmp_path, "a.ply", head + rows + "3 0 1 2\n3 3 4 5\n"))
         assert len(mesh.vertices) == expected
+
+
+def _soup(vertices, faces, **visual):
+    """Each face with its own three vertices, as exporters write them whose tangents differ."""
+    triangles = np.arange(3 * len(faces)).reshape(-1, 3)
+    return trimesh.Trimesh(vertices[faces].reshape(-1, 3), triangles, process=False, **visual)
+
+
+def test_glb_joins_vertices_that_are_alike_in_all_that_is_kept(tmp_path):
+    _soup(*shapes.cube()).export(tmp_path / "a.glb")
+    mesh = load(tmp_path / "a.glb")
+    assert (len(mesh.vertices), info(mesh).boundary_edges) == (8, 0)
+    assert mesh.load_report == ("joined 28 vertices at edges written twice; 8 are left",)
+
+
+def test_glb_keeps_one_uv_of_vertices_that_are_alike(tmp_path):
+    vertices, faces = shapes.cube()
+    uv = vertices[faces].reshape(-1, 3)[:, :2] / 2
+    _soup(vertices, faces, visual=trimesh.visual.TextureVisuals(uv=uv)).export(tmp_path / "a.glb")
+    mesh = load(tmp_path / "a.glb")
+    assert np.array_equal(mesh.uv_faces, mesh.faces)
+    assert np.allclose(mesh.uv, mesh.vertices[:, :2] / 2)
+
+
+def test_glb_leaves_vertices_of_other_colours_apart(tmp_path):
+    colors = np.repeat(np.arange(12) * 20, 3)[:, None] * [1, 1, 1, 0] + [0, 0, 0, 255]
+    _soup(*shapes.cube(), vertex_colors=colors.astype(np.uint8)).export(tmp_path / "a.glb")
+    assert len(load(tmp_path / "a.glb").vertices) == 36
+
+
+def test_glb_leaves_faces_apart_that_would_not_agree(tmp_path):
+    """The second of two triangles is turned: joined, they would be no oriented surface."""
+    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
+    _soup(vertices, np.array([[0, 1, 2], [1, 2, 3]])).export(tmp_path / "a.glb")
+    assert len(load(tmp_path / "a.glb").vertices) == 6
 
 
 @pytest.mark.parametrize(
@@ -374,8 +410,6 @@ def test_a_dirty_file_gives_a_mesh_or_a_named_error(name):
 
 
 def test_what_a_glb_material_loses_is_reported(tmp_path):
-    import trimesh
-
     vertices, faces = shapes.cube()
     material = trimesh.visual.material.PBRMaterial(name="skin", doubleSided=True, emissiveFactor=[1, 0, 0])
     visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)

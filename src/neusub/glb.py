@@ -9,7 +9,7 @@ import numpy as np
 from numpy import ndarray
 
 from neusub.mesh import Material
-from neusub.raw import RawMesh, split_at_seams, weld
+from neusub.raw import RawMesh, join_copies, split_at_seams, weld
 
 if TYPE_CHECKING:
     from neusub.mesh import Mesh
@@ -18,7 +18,7 @@ __all__ = ["parse_glb", "write_glb"]
 
 
 def parse_glb(data: bytes) -> RawMesh:
-    """All triangles of the scene, in world coordinates, joined across UV, normal and primitive seams."""
+    """All triangles of the scene, in world coordinates, joined across seams (UV, normal, primitive) and at copies."""
     from trimesh.exchange.gltf import load_glb
     from trimesh.scene.transforms import SceneGraph
 
@@ -62,19 +62,18 @@ def _joined(parts: list[tuple[dict[str, Any], ndarray]]) -> RawMesh:
         attributes.append(seam)
         material.append(np.full(len(corners), _material_index(getattr(visual, "material", None), materials)))
     raw = RawMesh(np.concatenate(vertices), np.concatenate(faces))
-    if any(uv is not None for uv in uvs):
-        raw.uv = np.concatenate([np.zeros((len(v), 2)) if uv is None else uv for uv, v in zip(uvs, vertices)])
-        raw.uv = raw.uv.astype(np.float64)
-        raw.uv_faces = raw.faces.copy()
     if any(c is not None for c in colors):
         raw.colors = np.concatenate([np.ones((len(v), 4)) if c is None else c for c, v in zip(colors, vertices)])
         if (raw.colors[:, 3] == 1).all():  # opaque: the writer adds the fourth column by itself
             raw.colors = raw.colors[:, :3].copy()
+    seams = join_copies(raw, np.concatenate(attributes))
+    if any(uv is not None for uv in uvs):
+        raw.uv, raw.uv_faces = seams[:, 1:3].copy(), raw.faces.copy()
     if materials:
         raw.materials = tuple(m for m, _ in materials)
         raw.report.extend(line for m, found in materials for line in _left_out(m.name, found))
         raw.face_data["material"] = np.concatenate(material)
-    weld(raw, np.concatenate(attributes))
+    weld(raw, seams)
     return raw
 
 

@@ -6,9 +6,11 @@
 |---|---|---|---|
 | OBJ | never joined | the file's | UVs with seams, materials, textures, groups, colours; float64 |
 | PLY | only across a UV or normal seam | the file's | UVs with seams, a texture, colours (8 bit), numbers per face |
-| GLB | only across a UV, normal or primitive seam | the file's | UVs with seams, materials, base textures, colours |
+| GLB | across a UV, normal or primitive seam; copies | the file's | UVs with seams, materials, base textures, colours |
 | STL | wherever positions are bit-equal | of first use | nothing; float32 |
 | OFF | never joined | the file's | nothing; float64 |
+
+Copies are border edges alike in all of this, which a GLB has where vertices differ in what is not kept.
 """
 
 from __future__ import annotations

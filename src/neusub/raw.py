@@ -11,7 +11,7 @@ from numpy import ndarray
 from neusub.errors import MeshError
 from neusub.mesh import EdgeGroups, Material, Mesh, face_edge_groups, find_problems, vertex_fans
 
-__all__ = ["RawMesh", "bad_vertices", "split_at_seams", "triangulate", "weld"]
+__all__ = ["RawMesh", "bad_vertices", "join_copies", "split_at_seams", "triangulate", "weld"]
 
 
 @dataclass
@@ -160,18 +160,13 @@ def weld(raw: RawMesh, attributes: Float64[ndarray, "nV K"] | None) -> None:
         return
     site = _groups_of_equal_rows(raw.vertices)
     on_seam = np.ones(n, dtype=bool) if attributes is None else _differs_within(site, attributes)
-    border = _border_halfedges(raw.faces, n)
-    tail, head = raw.faces.reshape(-1)[border], raw.faces[:, [1, 2, 0]].reshape(-1)[border]
+    tail, head = _border(raw.faces, n)
     mine = (on_seam[tail] | on_seam[head]) & (site[tail] != site[head])
     apart = len(tail) - mine.sum() - len(np.unique(np.sort(site[np.stack([tail, head], 1)[~mine]], axis=1), axis=0))
     if apart:
         raw.report.append(f"left {apart} border edges apart that coincide with others without a seam between them")
     tail, head = tail[mine], head[mine]
-    low, high = np.minimum(site[tail], site[head]), np.maximum(site[tail], site[head])
-    _, edge, counts = np.unique(low * n + high, return_inverse=True, return_counts=True)
-    order = np.argsort(edge, kind="stable")
-    start = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)[counts == 2]
-    h, g = order[start], order[start + 1]
+    h, g, crowded = _partners(site, tail, head)
     same = site[tail[h]] == site[tail[g]]
     pairs = np.concatenate(
         [
@@ -180,26 +175,61 @@ def weld(raw: RawMesh, attributes: Float64[ndarray, "nV K"] | None) -> None:
         ]
     )
     target = _joined(pairs, n)
-    left_out = int((counts > 2).sum()) + _undo_bad(raw.faces, target)
-    _apply_weld(raw, target, "seams" if attributes is not None else "equal positions", left_out)
-
-
-def _apply_weld(raw: RawMesh, target: Int64[ndarray, " nV"], where: str, left_out: int) -> None:
-    count = int((target != np.arange(len(target))).sum())
-    if count:
-        raw.faces = target[raw.faces]
-        kept = target == np.arange(len(target))
-        raw.faces = (np.cumsum(kept) - 1)[raw.faces]
-        raw.vertices = raw.vertices[kept]
-        raw.colors = None if raw.colors is None else raw.colors[kept]
-        raw.report.append(f"joined {count} vertices at {where}; {len(raw.vertices)} are left")
+    left_out = crowded + _undo_bad(raw.faces, target)
+    _apply_weld(raw, target, "seams" if attributes is not None else "equal positions")
     if left_out:
         raw.report.append(f"left {left_out} welds out, which would have made the mesh non-manifold")
 
 
-def _border_halfedges(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Int64[ndarray, " nB"]:
+def join_copies(raw: RawMesh, attributes: Float64[ndarray, "nV K"]) -> Float64[ndarray, "nU K"]:
+    """Join, in place, pairs of border edges that run in opposite directions and are alike in all that is kept.
+
+    Exporters write such copies where only something else differs, tangents for one.
+    attributes: as of `weld`; with positions and colours they are what is bit-equal at both ends.  Returns those of the
+    vertices that are left.  What stays apart is not reported: that `weld` does, which comes next.
+    """
+    n = len(raw.vertices)
+    if len(raw.faces) == 0 or raw.faces.min() < 0 or raw.faces.max() >= n:
+        return attributes
+    colors = [] if raw.colors is None else [raw.colors]
+    site = _groups_of_equal_rows(np.hstack([raw.vertices, attributes, *colors]))
+    tail, head = _border(raw.faces, n)
+    proper = site[tail] != site[head]
+    tail, head = tail[proper], head[proper]
+    h, g, _ = _partners(site, tail, head)
+    opposite = site[tail[h]] == site[head[g]]
+    h, g = h[opposite], g[opposite]
+    pairs = np.stack([np.concatenate([tail[h], head[h]]), np.concatenate([head[g], tail[g]])], axis=1)
+    target = _joined(pairs, n)
+    _undo_bad(raw.faces, target)
+    return attributes[_apply_weld(raw, target, "edges written twice")]
+
+
+def _partners(site: ndarray, tail: ndarray, head: ndarray) -> tuple[Int64[ndarray, " n"], Int64[ndarray, " n"], int]:
+    """Pairs of the edges tail -> head that alone lie between the same two sites, and at how many places more do."""
+    low, high = np.minimum(site[tail], site[head]), np.maximum(site[tail], site[head])
+    _, edge, counts = np.unique(low * len(site) + high, return_inverse=True, return_counts=True)
+    order = np.argsort(edge, kind="stable")
+    start = np.concatenate([[0], np.cumsum(counts)[:-1]]).astype(np.int64)[counts == 2]
+    return order[start], order[start + 1], int((counts > 2).sum())
+
+
+def _apply_weld(raw: RawMesh, target: Int64[ndarray, " nV"], where: str) -> ndarray:
+    """Put each vertex's target in its place; returns which vertices are kept."""
+    kept = target == np.arange(len(target))
+    if not kept.all():
+        raw.faces = (np.cumsum(kept) - 1)[target[raw.faces]]
+        raw.vertices = raw.vertices[kept]
+        raw.colors = None if raw.colors is None else raw.colors[kept]
+        raw.report.append(f"joined {(~kept).sum()} vertices at {where}; {len(raw.vertices)} are left")
+    return kept
+
+
+def _border(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> tuple[Int64[ndarray, " nB"], Int64[ndarray, " nB"]]:
+    """Where the half-edges with no face beside them begin and end."""
     groups = face_edge_groups(faces, n_vertices)
-    return groups.halfedges[groups.starts[groups.counts == 1]]
+    border = groups.halfedges[groups.starts[groups.counts == 1]]
+    return faces.reshape(-1)[border], faces[:, [1, 2, 0]].reshape(-1)[border]
 
 
 def _undo_bad(faces: Int64[ndarray, "nF 3"], target: Int64[ndarray, " nV"]) -> int:
