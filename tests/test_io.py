@@ -460,3 +460,11 @@ def test_single_precision_that_is_too_coarse_for_a_mesh_is_told(tmp_path, kind):
         save(far, tmp_path / "far.ply")
     with pytest.warns(UserWarning, match=r"steps of 0\.031 .* where edges are 0\.00\d+ long"):
         save(far, tmp_path / f"far{kind}")
+def test_what_a_glb_material_has_by_default_is_no_loss(tmp_path):
+    vertices, faces = shapes.cube()
+    defaults = {"doubleSided": False, "emissiveFactor": [0.0, 0, 0], "alphaMode": "OPAQUE", "alphaCutoff": 0.5}
+    visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(name="skin", **defaults))
+    trimesh.Trimesh(vertices, faces, visual=visual, process=False).export(tmp_path / "skin.glb")
+    mesh = load(tmp_path / "skin.glb")
+    assert mesh.materials[0].name == "skin"
+    assert not mesh.load_report

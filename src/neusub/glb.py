@@ -92,11 +92,15 @@ def _vertex_colors(part: dict[str, Any], visual: Any, n: int) -> ndarray | None:
     return rgba
 
 
+# What of a material is not kept, and the value that it has where it is absent (glTF 2.0, section 5.19).
+LOST = {"normalTexture": None, "occlusionTexture": None, "metallicRoughnessTexture": None, "emissiveTexture": None,
+        "emissiveFactor": (0.0, 0.0, 0.0), "alphaMode": "OPAQUE", "alphaCutoff": 0.5, "doubleSided": False}
+
+
 def _left_out(name: str, found: Any) -> list[str]:
     """A line for a material's properties that are not kept."""
-    keys = ("normalTexture", "occlusionTexture", "metallicRoughnessTexture", "emissiveTexture", "emissiveFactor",
-            "alphaMode", "alphaCutoff", "doubleSided")
-    lost = [key for key in keys if getattr(found, key, None) is not None]
+    values = {key: getattr(found, key, None) for key in LOST}
+    lost = [key for key, value in values.items() if value is not None and np.any(value != LOST[key])]
     return [f"material {name}: {', '.join(lost)} left out"] if lost else []
 
 
