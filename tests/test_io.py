@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import io
 import struct
 import warnings
@@ -468,3 +469,41 @@ def test_what_a_glb_material_has_by_default_is_no_loss(tmp_path):
     mesh = load(tmp_path / "skin.glb")
     assert mesh.materials[0].name == "skin"
     assert not mesh.load_report
+
+
+def _with_uris(path, **uris):
+    """A GLB of a textured cube, with URIs in the place of its own bytes (images, buffers)."""
+    vertices, faces = shapes.cube()
+    material = trimesh.visual.material.PBRMaterial(name="skin", baseColorTexture=Image.new("RGB", (4, 4), "red"))
+    visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)
+
+    def refer(tree):
+        for key, uri in uris.items():
+            tree[key][0] = {"uri": uri, "byteLength": tree["buffers"][0]["byteLength"]}
+
+    scene = trimesh.Scene(trimesh.Trimesh(vertices, faces, visual=visual, process=False))
+    path.write_bytes(trimesh.exchange.gltf.export_glb(scene, tree_postprocessor=refer))
+    return path
+
+
+def test_images_beside_a_glb_are_read(tmp_path):
+    (tmp_path / "my textures").mkdir()
+    _written(tmp_path / "my textures", "a.png", _picture("blue"))
+    embedded = "data:image/png;base64," + base64.b64encode(_picture("blue")).decode()
+    for uri in ("my%20textures/a.png", embedded):
+        mesh = load(_with_uris(tmp_path / "a.glb", images=uri))
+        ((role, _, content),) = mesh.materials[0].textures
+        assert role == "map_Kd"
+        assert Image.open(io.BytesIO(content)).getpixel((0, 0)) == (0, 0, 255)
+        assert not mesh.load_report
+
+
+def test_a_missing_image_of_a_glb_is_reported(tmp_path):
+    mesh = load(_with_uris(tmp_path / "a.glb", images="Textures/a.png"))
+    assert mesh.load_report == ("no image at 'Textures/a.png'; the texture is left out",)
+    assert not mesh.materials[0].textures
+
+
+def test_missing_bytes_of_a_glb_are_named(tmp_path):
+    with pytest.raises(errors.MeshFileError, match=r"a\.bin is missing"):
+        load(_with_uris(tmp_path / "a.glb", buffers="a.bin"))

@@ -3,11 +3,14 @@
 from __future__ import annotations
 
 import io
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
+from urllib.parse import unquote
 
 import numpy as np
 from numpy import ndarray
 
+from neusub.errors import MeshFileError
 from neusub.mesh import Material
 from neusub.raw import RawMesh, join_copies, split_at_seams, weld
 
@@ -17,12 +20,13 @@ if TYPE_CHECKING:
 __all__ = ["parse_glb", "write_glb"]
 
 
-def parse_glb(data: bytes) -> RawMesh:
+def parse_glb(data: bytes, path: Path) -> RawMesh:
     """All triangles of the scene, in world coordinates, joined across seams (UV, normal, primitive) and at copies."""
     from trimesh.exchange.gltf import load_glb
     from trimesh.scene.transforms import SceneGraph
 
-    content: dict[str, Any] = dict(load_glb(io.BytesIO(data)))
+    images = _FilesBeside(path.parent)
+    content: dict[str, Any] = dict(load_glb(io.BytesIO(data), resolver=images))
     graph = SceneGraph()
     for edge in content["graph"]:
         graph.update(**edge)
@@ -36,7 +40,24 @@ def parse_glb(data: bytes) -> RawMesh:
             parts.append((part, np.asarray(matrix, dtype=np.float64)))
     if not parts:
         return RawMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
-    return _joined(parts)
+    raw = _joined(parts)
+    raw.report.extend(f"no image at '{uri}'; the texture is left out" for uri in images.missing)
+    return raw
+
+
+class _FilesBeside(dict[str, bytes]):
+    """The files that URIs name, relative to the folder; trimesh passes over images that are missing in silence."""
+
+    def __init__(self, folder: Path) -> None:
+        super().__init__()
+        self.folder, self.missing = folder, []
+
+    def __missing__(self, uri: str) -> bytes:
+        file = self.folder / unquote(uri)
+        if not file.is_file():
+            self.missing.append(uri)
+            raise MeshFileError(f"{file} is missing: the mesh refers to it. Put it there.")
+        return file.read_bytes()
 
 
 def _joined(parts: list[tuple[dict[str, Any], ndarray]]) -> RawMesh:

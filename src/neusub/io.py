@@ -169,7 +169,7 @@ def _parse(data: bytes, kind: str, path: Path) -> RawMesh:
     if kind == ".glb":
         from neusub.glb import parse_glb
 
-        return parse_glb(data)
+        return parse_glb(data, path)
     return _parse_stl(data, path) if kind == ".stl" else _parse_off(data, path)
 
 
