@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import base64
 import io
+import json
 import struct
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -469,6 +470,33 @@ def test_what_a_glb_material_has_by_default_is_no_loss(tmp_path):
     mesh = load(tmp_path / "skin.glb")
     assert mesh.materials[0].name == "skin"
     assert not mesh.load_report
+
+
+@pytest.mark.parametrize("alpha", [0.2, 1.0])
+@pytest.mark.parametrize("extra", [(), ("Pm 1.0", "Pr 0.25")])
+def test_glb_keeps_transparency_and_metal(tmp_path, alpha, extra):
+    material = Material("skin", (1.0, 0.4, 0.2, alpha), extra=extra)
+    save(Mesh(*shapes.cube(), materials=(material,)), tmp_path / "a.glb")
+    mesh = load(tmp_path / "a.glb")
+    assert mesh.materials == (material,)
+    assert not mesh.load_report
+    (written,) = _header(tmp_path / "a.glb")["materials"]
+    assert written["pbrMetallicRoughness"]["metallicFactor"] == len(extra) / 2
+    assert written.get("alphaMode", "OPAQUE") == ("BLEND" if alpha < 1 else "OPAQUE")
+
+
+def _header(path):
+    data = path.read_bytes()
+    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
+
+
+def test_an_opaque_glb_material_has_no_alpha_and_is_a_metal_unless_it_says_no(tmp_path):
+    vertices, faces = shapes.cube()
+    material = trimesh.visual.material.PBRMaterial(name="skin", baseColorFactor=[1.0, 0, 0, 0.2])
+    visual = trimesh.visual.TextureVisuals(material=material)
+    trimesh.Trimesh(vertices, faces, visual=visual, process=False).export(tmp_path / "skin.glb")
+    (material,) = load(tmp_path / "skin.glb").materials
+    assert material == Material("skin", (1.0, 0.0, 0.0, 1.0), extra=("Pm 1.0",))
 
 
 def _with_uris(path, **uris):

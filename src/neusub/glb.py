@@ -92,7 +92,7 @@ def _joined(parts: list[tuple[dict[str, Any], ndarray]]) -> RawMesh:
         raw.uv, raw.uv_faces = seams[:, 1:3].copy(), raw.faces.copy()
     if materials:
         raw.materials = tuple(m for m, _ in materials)
-        raw.report.extend(line for m, found in materials for line in _left_out(m.name, found))
+        raw.report.extend(line for m, found in materials for line in _left_out(m, found))
         raw.face_data["material"] = np.concatenate(material)
     weld(raw, seams)
     return raw
@@ -118,11 +118,13 @@ LOST = {"normalTexture": None, "occlusionTexture": None, "metallicRoughnessTextu
         "emissiveFactor": (0.0, 0.0, 0.0), "alphaMode": "OPAQUE", "alphaCutoff": 0.5, "doubleSided": False}
 
 
-def _left_out(name: str, found: Any) -> list[str]:
-    """A line for a material's properties that are not kept."""
+def _left_out(material: Material, found: Any) -> list[str]:
+    """A line for the properties of what was found that the material does not keep."""
     values = {key: getattr(found, key, None) for key in LOST}
+    if values["alphaMode"] == "BLEND" and material.color is not None and material.color[3] < 1:
+        del values["alphaMode"]  # which says no more than this alpha does
     lost = [key for key, value in values.items() if value is not None and np.any(value != LOST[key])]
-    return [f"material {name}: {', '.join(lost)} left out"] if lost else []
+    return [f"material {material.name}: {', '.join(lost)} left out"] if lost else []
 
 
 def _material_index(found: Any, materials: list[tuple[Material, Any]]) -> int:
@@ -137,7 +139,8 @@ def _material_index(found: Any, materials: list[tuple[Material, Any]]) -> int:
     if factor is not None:
         factor = np.asarray(factor)
         r, g, b, a = (factor / 255.0 if factor.dtype.kind in "iu" else factor).tolist()
-        color = (r, g, b, a)
+        is_opaque = getattr(found, "alphaMode", None) in (None, "OPAQUE")  # alpha means nothing then
+        color = (r, g, b, 1.0 if is_opaque else a)
     name = getattr(found, "name", None) or f"material_{len(materials)}"
     image = getattr(found, "baseColorTexture", None)
     textures = ()
@@ -145,12 +148,17 @@ def _material_index(found: Any, materials: list[tuple[Material, Any]]) -> int:
         buffer = io.BytesIO()
         image.save(buffer, format="PNG")
         textures = (("map_Kd", f"{name}.png".replace("/", "_"), buffer.getvalue()),)
-    extra = []
-    for key, attribute in (("Pm", "metallicFactor"), ("Pr", "roughnessFactor")):
-        if getattr(found, attribute, None) is not None:
-            extra.append(f"{key} {getattr(found, attribute)!r}")
-    materials.append((Material(str(name).replace(" ", "_"), color, textures, tuple(extra)), found))
+    materials.append((Material(str(name).replace(" ", "_"), color, textures, _metal_lines(found)), found))
     return len(materials) - 1
+
+
+def _metal_lines(found: Any) -> tuple[str, ...]:
+    """Pm and Pr as of an MTL file.  There a material without Pm is no metal; in a GLB, without factor, it is one."""
+    if getattr(found, "metallicRoughnessTexture", None) is not None:
+        return ()  # the factors scale the texture, which is left out
+    metallic, roughness = getattr(found, "metallicFactor", None), getattr(found, "roughnessFactor", None)
+    values = {"Pm": 1.0 if metallic is None else metallic or None, "Pr": roughness}
+    return tuple(f"{key} {value!r}" for key, value in values.items() if value is not None)
 
 
 def write_glb(mesh: Mesh, name: str) -> dict[str, bytes]:
@@ -194,9 +202,10 @@ def _pbr(material: Material) -> Any:
     from PIL import Image
     from trimesh.visual.material import PBRMaterial
 
-    values: dict[str, Any] = {"name": material.name}
+    values: dict[str, Any] = {"name": material.name, "metallicFactor": 0.0}
     if material.color is not None:
         values["baseColorFactor"] = np.array(material.color)
+        values["alphaMode"] = "BLEND" if material.color[3] < 1 else None
     for role, _, content in material.textures:
         if role.split()[0] == "map_Kd":
             values["baseColorTexture"] = Image.open(io.BytesIO(content))
