@@ -55,6 +55,28 @@ def test_info_of_a_good_mesh_says_so():
     assert "no problems" in str(info(Mesh(*shapes.cube())))
 
 
+def _soup(shape):
+    """Each face with its own three vertices."""
+    vertices, faces = shape()
+    return RawMesh(vertices[faces].reshape(-1, 3), np.arange(3 * len(faces)).reshape(-1, 3))
+
+
+def test_info_names_the_remedy_for_faces_with_their_own_vertices():
+    found = info(_soup(shapes.cube))
+    assert found.coincident_edges == 36
+    assert "36 boundary edges lie on each other. Run 'neusub repair --weld'" in str(found)
+    assert info(Mesh(*shapes.open_cylinder())).coincident_edges == 0
+
+
+@pytest.mark.parametrize("shape", [shapes.cube, shapes.flipped_face])
+def test_repair_welds_if_asked_to(shape):
+    mesh, changes = repair(_soup(shape), weld=True)
+    assert (len(mesh.vertices), info(mesh).boundary_edges) == (len(shape()[0]), 0)
+    assert changes[0].startswith("joined")
+    assert mesh.load_report == tuple(changes)
+    assert info(repair(_soup(shape))[0]).coincident_edges == 3 * len(mesh.faces)
+
+
 @pytest.mark.parametrize(
     "shape, words",
     [

@@ -106,6 +106,7 @@ def repair_command(
     *,
     split_edges: bool = False,
     split_vertices: bool = False,
+    weld: bool = False,
     overwrite: bool = False,
 ) -> int:
     """Fix what can be fixed without guessing, and say what was changed.
@@ -115,6 +116,7 @@ def repair_command(
         output: The repaired file.
         split_edges: Also take edges with three or more faces apart.
         split_vertices: Also give each fan of faces at a vertex its own vertex.
+        weld: Also join boundary edges that lie on each other, as where each face has its own vertices.
         overwrite: Replace a file that exists.
     """
     def work(path: Path) -> list[str]:
@@ -122,7 +124,7 @@ def repair_command(
         from neusub.repair import repair
 
         check_free([output], overwrite, KINDS)
-        repaired, report = repair(read(path), split_edges=split_edges, split_vertices=split_vertices)
+        repaired, report = repair(read(path), split_edges=split_edges, split_vertices=split_vertices, weld=weld)
         save(repaired, output, overwrite=overwrite)
         return [*(report or ["nothing to repair"]), f"{path} -> {output}"]
 

@@ -11,7 +11,7 @@ from numpy import ndarray
 from neusub.errors import MeshError
 from neusub.mesh import EdgeGroups, Material, Mesh, face_edge_groups, find_problems, vertex_fans
 
-__all__ = ["RawMesh", "bad_vertices", "join_copies", "split_at_seams", "triangulate", "weld"]
+__all__ = ["RawMesh", "bad_vertices", "count_coincident", "join_copies", "split_at_seams", "triangulate", "weld"]
 
 
 @dataclass
@@ -203,6 +203,18 @@ def join_copies(raw: RawMesh, attributes: Float64[ndarray, "nV K"]) -> Float64[n
     target = _joined(pairs, n)
     _undo_bad(raw.faces, target)
     return attributes[_apply_weld(raw, target, "edges written twice")]
+
+
+def count_coincident(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> int:
+    """Border edges that lie where just one other does, as all do where each face has its own vertices."""
+    tail, head = _border(faces, len(vertices))
+    ends, index = np.unique(np.concatenate([tail, head]), return_inverse=True)
+    if len(ends) == 0:
+        return 0
+    site = _groups_of_equal_rows(vertices[ends])
+    tail, head = index[: len(tail)], index[len(tail) :]
+    proper = site[tail] != site[head]
+    return 2 * len(_partners(site, tail[proper], head[proper])[0])
 
 
 def _partners(site: ndarray, tail: ndarray, head: ndarray) -> tuple[Int64[ndarray, " n"], Int64[ndarray, " n"], int]:

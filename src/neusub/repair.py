@@ -10,7 +10,8 @@ from numpy import ndarray
 
 from neusub.errors import MeshError, NonFiniteError
 from neusub.mesh import Mesh, duplicate_faces, face_edge_groups, find_problems, non_finite_problems, vertex_fans
-from neusub.raw import RawMesh
+from neusub.raw import RawMesh, count_coincident
+from neusub.raw import weld as weld_borders
 from neusub.topology import Topology, build_topology, connected_components
 
 __all__ = ["MeshInfo", "info", "repair"]
@@ -23,6 +24,7 @@ class MeshInfo:
     """Sizes, topology and quality of a mesh, with every problem.  Lengths are in the mesh's own unit.
 
     genus: handles of all components together; None where it is undefined (not manifold or not orientable).
+    coincident_edges: the boundary edges that lie where just one other does, which `repair` joins if asked to weld.
     quality: 4 sqrt(3) area / (sum of the squared edge lengths), 1 for an equilateral triangle, 0 for a flat one.
     """
 
@@ -33,6 +35,7 @@ class MeshInfo:
     genus: int | None
     boundary_loops: int | None
     boundary_edges: int
+    coincident_edges: int
     box: tuple[float, float, float]
     edge_length: tuple[float, float, float]  # least, mean, greatest
     quality: tuple[float, float]  # least, mean
@@ -42,6 +45,7 @@ class MeshInfo:
     problems: tuple[MeshError, ...]
 
     def __str__(self) -> str:
+        apart = f"{self.coincident_edges} boundary edges lie on each other. Run 'neusub repair --weld' to join them."
         lines = [
             f"vertices {self.n_vertices:,}   edges {self.n_edges:,}   faces {self.n_faces:,}",
             f"components {self.components}   genus {_or_undefined(self.genus)}   "
@@ -52,6 +56,7 @@ class MeshInfo:
             + f"zero-area faces {self.zero_area_faces}",
             "with " + (", ".join(self.contents) or "positions and faces only"),
             *(f"read: {line}" for line in self.report),
+            *([f"hint: {apart}"] if self.coincident_edges else []),
             *(f"problem: {type(problem).__name__}: {problem}" for problem in self.problems),
         ]
         return "\n".join(lines if self.problems else [*lines, "no problems"])
@@ -80,6 +85,7 @@ def info(raw: RawMesh | Mesh) -> MeshInfo:
         genus=genus,
         boundary_loops=loops,
         boundary_edges=0 if groups is None else int((groups.counts == 1).sum()),
+        coincident_edges=0 if groups is None else count_coincident(raw.vertices, faces),
         box=(float(extent[0]), float(extent[1]), float(extent[2])),
         edge_length=length,
         quality=(float(quality.min()), float(quality.mean())) if len(faces) else (0.0, 0.0),
@@ -146,18 +152,26 @@ def _is_flat(corners: Float64[ndarray, "nF 3 3"]) -> ndarray:
         return _double_areas(corners) <= FLAT * (_edge_lengths(corners) ** 2).max(axis=1)
 
 
-def repair(raw: RawMesh, split_edges: bool = False, split_vertices: bool = False) -> tuple[Mesh, list[str]]:
+def repair(
+    raw: RawMesh, split_edges: bool = False, split_vertices: bool = False, weld: bool = False
+) -> tuple[Mesh, list[str]]:
     """A valid mesh, and a line for each kind of change.  `raw` itself stays as it is.
 
     Without being asked it removes faces with a repeated vertex and copies of faces, turns faces to agree with the
     majority of their component, collapses zero-area faces where the surface stays a manifold, and drops unreferenced
     vertices.  split_edges: gives the sheets that meet at an edge of three or more faces their own vertices.
-    split_vertices: the same for the fans that meet at a vertex.
+    split_vertices: the same for the fans that meet at a vertex.  weld: first joins boundary edges whose ends have
+    bit-equal positions, where the surface stays a manifold.
     Raises: the `MeshError` that is left, for what only a guess could repair.
     """
     work = replace(raw, face_data=dict(raw.face_data), report=list(raw.report))
     changes: list[str] = []
     inside = ((work.faces >= 0) & (work.faces < len(work.vertices))).all()
+    if weld:
+        known = len(work.report)
+        weld_borders(work, None)
+        changes += work.report[known:]
+        del work.report[known:]
     if len(work.faces) and inside:
         _drop_bad_faces(work, changes)
     if len(work.faces) and inside:
