@@ -6,9 +6,9 @@
     python -m experiments ablation cartoon_elephant.npz --device cuda              # steps recorded as CUDA graphs
 
 The source is the authors' public pairs, or a fine mesh of which pairs are made.  Each training (variant, seed, epochs,
-pairs) is one entry of results/ablation.json, written when it is done; what is there is skipped, so the command can be
-stopped and repeated.  The picture docs/reproduction/ablation.webp shows the largest setting with all studies.
-"Relative" variants measure lengths in units of each half-flap's mean edge.
+pairs) is one entry of results/ablation.json, written when it is done; what is there is skipped, and a training that was
+stopped goes on where it was when the command is repeated.  The picture, docs/reproduction/ablation.webp, shows the
+largest setting with all studies.  "Relative" variants measure lengths in units of each half-flap's mean edge.
 """
 
 from __future__ import annotations
@@ -64,7 +64,9 @@ def trained(variant: str, seed: int, batches: tuple[list[Batch], list[Batch]], o
     if variant == LAST:
         batches = tuple([LastLevel(**vars(batch)) for batch in group] for group in batches)  # type: ignore[assignment]
     config = TrainingConfig(epochs=options.epochs, seed=seed, threads=options.threads)
-    return fit(NETWORKS[PAPER if variant == LAST else variant], *batches, config)
+    name = f"{options.source.stem}-{options.pairs}-{options.epochs}-{variant.replace(' ', '-')}-{seed}.pt"
+    checkpoint = None if options.quick else options.runs / "ablation" / name
+    return fit(NETWORKS[PAPER if variant == LAST else variant], *batches, config, checkpoint)
 
 
 def check_against_train(pairs: list[Pair], threads: int) -> None:

@@ -11,6 +11,7 @@ import time
 from collections.abc import Callable, Hashable, Iterable, Sequence
 from dataclasses import dataclass
 from functools import partial
+from pathlib import Path
 
 import numpy as np
 import torch
@@ -20,6 +21,7 @@ from torch.nn.functional import linear
 
 from neusub import Mesh, TrainingConfig
 from neusub.configuration import Architecture
+from neusub.files import replacing
 from neusub.flaps import FlapGroups, gather_corners, pool, sum_slots
 from neusub.frames import cross, edge_vectors, in_frames, local_frames, root, sizes, squared_lengths
 from neusub.generation import Batch, Pair
@@ -29,6 +31,7 @@ from neusub.recording import Recorder, copy_to
 from neusub.training import epoch_order, make_recordable, set_rate
 
 CLAY = (223, 227, 234)
+KEPT_EVERY = 10  # epochs
 
 # --- modules -----------------------------------------------------------------------------------------------------
 
@@ -237,8 +240,11 @@ class LastLevel(Batch):
 
 
 def fit(build: Callable[[], NeuralSubdivision], train: Sequence[Batch], validation: Sequence[Batch],
-        config: TrainingConfig) -> Fit:
-    """Train on one batch a step, in the order of `neusub.train`, on the batches' device."""
+        config: TrainingConfig, checkpoint: Path | None = None) -> Fit:
+    """Train on one batch a step, in the order of `neusub.train`, on the batches' device.
+
+    checkpoint: a file to go on from where it is there, written every KEPT_EVERY epochs and removed at the end.
+    """
     torch.set_num_threads(config.threads or torch.get_num_threads())
     torch.manual_seed(config.seed)
     device = train[0].positions.device
@@ -258,9 +264,14 @@ def fit(build: Callable[[], NeuralSubdivision], train: Sequence[Batch], validati
         outputs = model(batch.positions, batch.levels)
         return [torch.stack([batch.loss(outputs), *level_errors(batch, outputs)])]
 
-    losses, errors, best = [], [], copy.deepcopy(model.state_dict())
-    began = time.process_time()
-    for epoch in range(config.epochs):
+    losses, errors, best, spent = [], [], copy.deepcopy(model.state_dict()), 0.0
+    if checkpoint and checkpoint.exists():
+        was = torch.load(checkpoint, map_location=device)
+        losses, errors, best, spent = was["losses"], was["errors"], was["best"], was["seconds"]
+        model.load_state_dict(was["model"])
+        adam.load_state_dict(was["adam"])
+    began = time.process_time() - spent
+    for epoch in range(len(losses), config.epochs):
         set_rate(adam, config, epoch)
         for k in epoch_order(len(train), config.seed, epoch):
             run(("step", k), partial(gradients, train[k]), [weight.grad for weight in weights])
@@ -268,11 +279,17 @@ def fit(build: Callable[[], NeuralSubdivision], train: Sequence[Batch], validati
         with torch.no_grad():
             rows = [run(("validation", k), partial(validated, batch), [found]).tolist()
                     for k, batch in enumerate(validation)]
-        loss, *levels = np.mean(rows, axis=0)
+        loss, *levels = np.mean(rows, axis=0).tolist()
         if loss < min(losses, default=np.inf):
             best = copy.deepcopy(model.state_dict())
         losses.append(loss)
         errors.append(levels)
+        if checkpoint and len(losses) % KEPT_EVERY == 0:
+            with replacing(checkpoint) as new:
+                torch.save({"losses": losses, "errors": errors, "best": best, "seconds": time.process_time() - began,
+                            "model": model.state_dict(), "adam": adam.state_dict()}, new)
+    if checkpoint:
+        checkpoint.unlink(missing_ok=True)
     model.load_state_dict(best)
     return Fit(model.cpu().eval().requires_grad_(False), np.array(losses), np.array(errors),
                time.process_time() - began)

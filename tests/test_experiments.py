@@ -7,15 +7,18 @@ import importlib
 
 import numpy as np
 import pytest
-from experiments import sources, tables
+import torch
+from experiments import sources, tables, variants
 from experiments.__main__ import names
 from experiments.analytic import even_pairs
 from experiments.common import HERE, volume
 from scipy.optimize import least_squares
 
 import shapes
-from neusub import Mesh
+from neusub import Mesh, TrainingConfig
+from neusub.generation import batch_pairs
 from neusub.metrics import face_normals
+from test_training import loop_pair
 
 
 def test_every_experiment_is_listed():
@@ -99,3 +102,27 @@ def test_the_tables_of_the_documentation_have_the_numbers_of_the_results(page):
 def test_each_table_stands_on_a_page():
     text = "".join(page.read_text() for page in tables.pages())
     assert {name for name in tables.TABLES if f"<!-- table {name} -->" in text} == set(tables.TABLES)
+
+
+def test_a_fit_that_was_stopped_goes_on_as_if_it_had_not_been(tmp_path, monkeypatch):
+    batches = [batch_pairs([loop_pair(*shape)]) for shape in (shapes.torus(6, 5), shapes.icosahedron())]
+    config, file = TrainingConfig(epochs=5, threads=1), tmp_path / "fit.pt"
+    whole = variants.fit(variants.NETWORKS["paper"], batches, batches, config)
+    monkeypatch.setattr(variants, "KEPT_EVERY", 2)
+    set_rate = variants.set_rate
+
+    def stops(adam, config, epoch):
+        if epoch == 3:
+            raise KeyboardInterrupt
+        set_rate(adam, config, epoch)
+
+    monkeypatch.setattr(variants, "set_rate", stops)
+    with pytest.raises(KeyboardInterrupt):
+        variants.fit(variants.NETWORKS["paper"], batches, batches, config, file)
+    monkeypatch.setattr(variants, "set_rate", set_rate)
+    resumed = variants.fit(variants.NETWORKS["paper"], batches, batches, config, file)
+    assert np.array_equal(resumed.losses, whole.losses)
+    assert np.array_equal(resumed.errors, whole.errors)
+    weights = zip(resumed.network.state_dict().values(), whole.network.state_dict().values())
+    assert all(torch.equal(a, b) for a, b in weights)
+    assert not file.exists()

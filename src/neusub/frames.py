@@ -14,7 +14,7 @@ from neusub.flaps import FlapGroups, by_columns, gather_corners, pool
 
 __all__ = [
     "CANCELLED", "TURNS", "cross", "differential_coordinates", "edge_vectors", "in_frames", "known_true",
-    "local_frames", "rounding", "sizes", "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals",
+    "local_frames", "root", "rounding", "sizes", "squared_lengths", "star_sums", "turn_sums", "turns", "vertex_normals",
     "vertex_turns",
 ]
 
