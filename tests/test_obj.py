@@ -1,8 +1,9 @@
-"""OBJ and MTL as exporters write them; materials and textures that must not get into each other's way."""
+"""OBJ and MTL, and textures of PLY, as exporters write them; materials that must not get into each other's way."""
 
 from __future__ import annotations
 
 import io
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,7 +13,7 @@ import shapes
 from neusub import errors
 from neusub.io import load, read, save
 from neusub.mesh import Material, Mesh
-from test_io import TRIANGLE, _picture, _written
+from test_io import TRIANGLE, _corner_set, _picture, _rich_mesh, _written
 
 TWO_FACES = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nvt 0 0\nvt 1 0\nvt 1 1\n"
 LOWER, UPPER = "f 1/1 2/2 3/3\n", "f 1/1 3/3 4/2\n"
@@ -66,6 +67,7 @@ def test_transparency_is_read_both_ways_round(tmp_path):
     assert "Tr" not in (tmp_path / "n.mtl").read_text()
 
 
+@pytest.mark.filterwarnings("ignore:n.ply. left out 1 textures")
 @pytest.mark.parametrize("kind", [".obj", ".glb", ".ply"])
 def test_textures_with_options_come_along(tmp_path, kind):
     folder = tmp_path / "out"
@@ -120,3 +122,58 @@ def test_ply_keeps_colours_of_faces_as_bytes(tmp_path):
     save(mesh, tmp_path / "a.ply")
     assert b"property uchar red" in (tmp_path / "a.ply").read_bytes()
     assert load(tmp_path / "a.ply").face_data["red"].tolist() == list(range(12))
+
+
+@pytest.mark.parametrize("textured", [(0, 1), (0,), (1,), ()])
+def test_ply_keeps_the_texture_of_each_face(tmp_path, textured):
+    """Of two materials both have a texture, or one, or none; the last faces have no material."""
+    material = np.arange(12) // 5
+    material[material == 2] = -1
+    mesh = _rich_mesh()
+    materials = tuple(m if k in textured else replace(m, textures=()) for k, m in enumerate(mesh.materials))
+    mesh = Mesh(**shapes.uv_box(), face_data={"material": material}, materials=materials)
+    with pytest.warns(UserWarning, match="a.ply: left out .*colours and shading of materials"):
+        save(mesh, tmp_path / "a.ply")
+    back = load(tmp_path / "a.ply")
+    assert [m.name for m in back.materials] == [("red", "blue")[k] for k in textured]
+    if textured:
+        found = [back.materials[k].name if k >= 0 else "" for k in back.face_data["material"]]
+        assert found == ["" if k not in textured else ("red", "blue")[k] for k in material]
+    else:
+        assert back.face_data["material"].tolist() == material.tolist()
+    expected = _corner_set(mesh, mesh.vertices[mesh.faces], mesh.uv[mesh.uv_faces])
+    assert np.allclose(_corner_set(back, back.vertices[back.faces], back.uv[back.uv_faces]), expected, atol=2e-6)
+    assert len(back.vertices) == 8
+
+
+def test_ply_textures_of_one_name_are_written_apart(tmp_path):
+    materials = tuple(Material(c, None, (("map_Kd", "texture.png", _picture(c)),)) for c in ("red", "blue"))
+    mesh = Mesh(**shapes.uv_box(), face_data={"material": np.arange(12) % 2}, materials=materials)
+    save(mesh, tmp_path / "a.ply")
+    assert [m.textures[0][2] for m in load(tmp_path / "a.ply").materials] == [_picture("red"), _picture("blue")]
+
+
+def _meshlab_ply(numbers):
+    """Two triangles with UVs on the corners and a number of a texture each, a.png or b.png."""
+    head = "ply\nformat ascii 1.0\ncomment VCGLIB generated\ncomment TextureFile a.png\ncomment TextureFile b.png\n"
+    head += "element vertex 4\nproperty float x\nproperty float y\nproperty float z\nelement face 2\n"
+    head += "property list uchar int vertex_indices\nproperty list uchar float texcoord\nproperty int texnumber\n"
+    rows = "".join(f"3 {c} 6 0 0 1 0 0 1 {k}\n" for c, k in zip(("0 1 2", "0 2 3"), numbers))
+    return f"{head}end_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n{rows}"
+
+
+def test_the_texture_number_of_a_ply_face_is_its_material(tmp_path):
+    _written(tmp_path, "a.png", _picture("red"))
+    mesh = load(_written(tmp_path, "a.ply", _meshlab_ply([1, 0])))
+    assert mesh.face_data["material"].tolist() == [1, 0]
+    assert set(mesh.face_data) == {"material"}
+    assert [(m.name, len(m.textures)) for m in mesh.materials] == [("a", 1), ("b", 0)]
+    assert mesh.load_report == ("material b: no image at 'b.png'",)
+
+
+def test_a_texture_number_without_texture_is_reported(tmp_path):
+    for name in ("a.png", "b.png"):
+        _written(tmp_path, name, _picture("red"))
+    mesh = load(_written(tmp_path, "a.ply", _meshlab_ply([1, 2])))
+    assert mesh.face_data["material"].tolist() == [1, -1]
+    assert mesh.load_report == ("1 faces have a texture that is none of the 2: left without",)

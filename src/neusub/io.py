@@ -5,7 +5,7 @@
 | kind | vertices | order of vertices | besides positions and faces |
 |---|---|---|---|
 | OBJ | never joined | the file's | UVs with seams, materials, textures, groups, colours; float64 |
-| PLY | only across a UV or normal seam | the file's | UVs with seams, a texture, colours (8 bit), numbers per face |
+| PLY | only across a UV or normal seam | the file's | UVs with seams, base textures, 8-bit colours, numbers per face |
 | GLB | across a UV, normal or primitive seam; copies | the file's | UVs with seams, materials, base textures, colours |
 | STL | wherever positions are bit-equal | of first use | nothing; float32 |
 | OFF | never joined | the file's | nothing; float64 |

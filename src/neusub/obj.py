@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from neusub.errors import IndexRangeError, MeshFileError
 from neusub.mesh import Material
-from neusub.raw import RawMesh, triangulate
+from neusub.raw import RawMesh, add_file, triangulate
 
 if TYPE_CHECKING:
     from neusub.mesh import Mesh
@@ -317,10 +317,7 @@ def _mtl_files(mesh: Mesh, name: str, names: list[str]) -> dict[str, bytes]:
             lines += ["Kd " + " ".join(map(repr, material.color[:3])), f"d {material.color[3]!r}"]
         lines += material.extra
         for role, file_name, content in material.textures:
-            while files.get(file_name, content) != content:  # two materials, one name, different pictures
-                file_name = "_" + file_name
-            files[file_name] = content
-            lines.append(f"{role} {file_name}")
+            lines.append(f"{role} {add_file(files, file_name, content)}")
     if (mesh.face_data.get("material", np.zeros(1)) < 0).any():
         lines.append(f"newmtl {names[-1]}")
     files[f"{name}.mtl"] = ("\n".join(lines) + "\n").encode()

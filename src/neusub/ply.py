@@ -5,6 +5,7 @@ Not on trimesh: its reader refuses binary files of mixed polygons, accepts trunc
 
 from __future__ import annotations
 
+import warnings
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +14,7 @@ from numpy import ndarray
 
 from neusub.errors import MeshFileError
 from neusub.mesh import Material
-from neusub.raw import RawMesh, split_at_seams, triangulate, weld
+from neusub.raw import RawMesh, add_file, base_picture, face_materials, split_at_seams, triangulate, weld
 
 if TYPE_CHECKING:
     from neusub.mesh import Mesh
@@ -29,6 +30,7 @@ FACE_LISTS = ("vertex_indices", "vertex_index")
 # A property is (name, type, type of the count or None); an element is (name, number of rows, properties).
 Property = tuple[str, str, str | None]
 Columns = dict[str, Any]  # scalar: (n,); list: ((n,) counts, values of all rows)
+Column = tuple[str, str, ndarray]  # to be written: type, name, values (n,), or (n, k) for lists of k
 
 
 def parse_ply(data: bytes, path: Path) -> RawMesh:
@@ -196,13 +198,26 @@ def _assemble(read: dict[str, Columns], comments: list[str], path: Path) -> RawM
         if not isinstance(values, tuple):
             raw.face_data[key] = np.asarray(values)[kept][polygon]
     _texture(raw, vertex, face, counts, kept, triangles)
-    for comment in comments:
-        image = path.parent / comment[12:].strip()
-        if comment.startswith("TextureFile ") and image.is_file():
-            raw.materials += (Material(image.stem, textures=(("map_Kd", image.name, image.read_bytes()),)),)
-    if raw.materials:
-        raw.face_data.setdefault("material", np.zeros(len(raw.faces), dtype=np.int64))
+    _materials(raw, [c[12:].strip() for c in comments if c.startswith("TextureFile ")], path.parent)
     return raw
+
+
+def _materials(raw: RawMesh, names: list[str], folder: Path) -> None:
+    """A material for each texture file; which of them a face has is its `texnumber`, as MeshLab writes it."""
+    if not names:
+        return
+    for name in names:
+        image = folder / name
+        if not image.is_file():
+            raw.report.append(f"material {image.stem}: no image at '{name}'")
+        textures = (("map_Kd", image.name, image.read_bytes()),) if image.is_file() else ()
+        raw.materials += (Material(image.stem, textures=textures),)
+    first = np.zeros(len(raw.faces), dtype=np.int64)
+    number = raw.face_data.pop("texnumber", raw.face_data.get("material", first))
+    is_known = (number >= -1) & (number < len(names))
+    if not is_known.all():
+        raw.report.append(f"{(~is_known).sum()} faces have a texture that is none of the {len(names)}: left without")
+    raw.face_data["material"] = np.where(is_known, number, -1).astype(np.int64)
 
 
 def _texture(raw: RawMesh, vertex: Columns, face: Columns, counts: ndarray, kept: ndarray, triangles: ndarray) -> None:
@@ -234,32 +249,76 @@ def _colors(vertex: Columns) -> ndarray | None:
 def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
     """Binary little-endian, positions as double, colours as uchar; a vertex on a UV seam is written once for each UV.
 
-    Numbers of one per face go along; other face data, and all textures but the first, do not fit into a PLY.
+    Several textures are written as MeshLab does: the UVs are floats of the corners, vertices are not split, and
+    `texnumber` is the texture of each face (-1: none).  Numbers of one per face go along.  What does not fit into a
+    PLY is warned of: the rest of materials, other face data.
     """
-    index, faces, uv = split_at_seams(mesh)
+    pictures, files, number = _pictures(mesh)
+    several = len(pictures) > 1
+    index, corners, uv = (np.arange(len(mesh.vertices)), mesh.faces, None) if several else split_at_seams(mesh)
+    face: list[Column] = [("int", "vertex_indices", corners)]
+    if several and mesh.uv is not None:
+        face.append(("float", "texcoord", mesh.uv[mesh.uv_faces].reshape(-1, 6)))
+    if pictures:
+        face.append(("int", "texnumber", number))
+    data = {k: v for k, v in mesh.face_data.items() if v.ndim == 1 and v.dtype.kind in "iuf" and " " not in k}
+    for k, v in data.items():
+        if not (pictures and k == "material"):  # which the texture's number is
+            face.append(({"f": "double"}.get(v.dtype.kind, "uchar" if v.dtype == np.uint8 else "int"), k, v))
+    lost = _lost_materials(mesh) + [f"face data '{k}'" for k in mesh.face_data if k not in data]
+    if lost:
+        warnings.warn(f"{name}.ply: left out {', '.join(lost)}", stacklevel=3)
     header = ["ply", "format binary_little_endian 1.0", "comment neusub"]
-    textures = [t for m in mesh.materials for t in m.textures if t[0].split()[0] == "map_Kd"][:1]
-    header += [f"comment TextureFile {t[1]}" for t in textures]
-    columns = [("double", axis, mesh.vertices[index, k]) for k, axis in enumerate("xyz")]
+    header += [f"comment TextureFile {picture}" for picture in pictures]
+    vertex_lines, vertex_rows = _element("vertex", _vertex_columns(mesh, index, uv))
+    face_lines, face_rows = _element("face", face)
+    text = "\n".join([*header, *vertex_lines, *face_lines, "end_header\n"]).encode()
+    return {f"{name}.ply": text + vertex_rows + face_rows, **files}
+
+
+def _vertex_columns(mesh: Mesh, index: ndarray, uv: ndarray | None) -> list[Column]:
+    columns: list[Column] = [("double", axis, mesh.vertices[index, k]) for k, axis in enumerate("xyz")]
     if uv is not None:
         columns += [("double", "s", uv[:, 0]), ("double", "t", uv[:, 1])]
     if mesh.colors is not None:
         bytes_ = np.rint(np.clip(mesh.colors[index], 0, 1) * 255)
-        columns += [
-            ("uchar", c, bytes_[:, k]) for k, c in zip(range(bytes_.shape[1]), ("red", "green", "blue", "alpha"))
-        ]
-    header += [f"element vertex {len(index)}", *(f"property {kind} {name}" for kind, name, _ in columns)]
-    vertex = np.empty(len(index), dtype=[(name, "<" + SIZES[kind]) for kind, name, _ in columns])
-    for _, column, values in columns:
-        vertex[column] = values
-    data = {k: v for k, v in mesh.face_data.items() if v.ndim == 1 and v.dtype.kind in "iuf" and " " not in k}
-    kinds = {k: {"f": "double"}.get(v.dtype.kind, "uchar" if v.dtype == np.uint8 else "int") for k, v in data.items()}
-    header += [f"element face {len(faces)}", "property list uchar int vertex_indices"]
-    header += [f"property {kinds[k]} {k}" for k in data]
-    row = [("count", "u1"), ("corners", "<i4", (3,)), *((k, "<" + SIZES[kinds[k]]) for k in data)]
-    face = np.empty(len(faces), dtype=row)
-    face["count"], face["corners"] = 3, faces
-    for k, values in data.items():
-        face[k] = values
-    text = "\n".join([*header, "end_header\n"]).encode()
-    return {f"{name}.ply": text + vertex.tobytes() + face.tobytes(), **{t[1]: t[2] for t in textures}}
+        columns += [("uchar", c, values) for c, values in zip(("red", "green", "blue", "alpha"), bytes_.T)]
+    return columns
+
+
+def _pictures(mesh: Mesh) -> tuple[list[str], dict[str, bytes], ndarray]:
+    """The texture of each material that has one, their files, and which of them each face has (-1: none)."""
+    names, files = [], {}
+    number = np.full(len(mesh.materials) + 1, -1)  # the last is that of faces without material
+    for k, material in enumerate(mesh.materials):
+        picture = base_picture(material)
+        if picture:
+            number[k] = len(names)
+            names.append(add_file(files, *picture))
+    return names, files, number[face_materials(mesh)]
+
+
+def _lost_materials(mesh: Mesh) -> list[str]:
+    """What of the materials does not fit into a PLY."""
+    plain = sum(base_picture(material) is None for material in mesh.materials)
+    others = sum(len(material.textures) for material in mesh.materials) - (len(mesh.materials) - plain)
+    lost = [f"{plain} materials without a texture"] if plain else []
+    if any(material.color or material.extra for material in mesh.materials):
+        lost.append("colours and shading of materials")
+    return lost + ([f"{others} textures other than base colours"] if others else [])
+
+
+def _element(element: str, columns: list[Column]) -> tuple[list[str], bytes]:
+    """The header's lines and the rows."""
+    lines, fields = [f"element {element} {len(columns[0][2])}"], []
+    for kind, name, values in columns:
+        is_list = values.ndim == 2
+        lines.append(f"property {'list uchar ' if is_list else ''}{kind} {name}")
+        fields += [(f"{name} count", "u1")] if is_list else []  # no property's name has a blank
+        fields.append((name, "<" + SIZES[kind], values.shape[1:]))
+    rows = np.empty(len(columns[0][2]), dtype=fields)
+    for _, name, values in columns:
+        rows[name] = values
+        if values.ndim == 2:
+            rows[f"{name} count"] = values.shape[1]
+    return lines, rows.tobytes()

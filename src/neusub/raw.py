@@ -11,7 +11,10 @@ from numpy import ndarray
 from neusub.errors import MeshError
 from neusub.mesh import EdgeGroups, Material, Mesh, face_edge_groups, find_problems, vertex_fans
 
-__all__ = ["RawMesh", "bad_vertices", "count_coincident", "join_copies", "split_at_seams", "triangulate", "weld"]
+__all__ = [
+    "RawMesh", "add_file", "bad_vertices", "base_picture", "count_coincident", "face_materials", "join_copies",
+    "split_at_seams", "triangulate", "weld",
+]  # fmt: skip
 
 
 @dataclass
@@ -320,3 +323,24 @@ def split_at_seams(mesh: Mesh) -> tuple[Int64[ndarray, " n"], Int64[ndarray, "nF
     index, rows_uv = np.arange(n + int((~is_first).sum())), np.zeros((n + int((~is_first).sum()), 2))
     index[place], rows_uv[place] = vertex, uv[texture]
     return index, place[row].reshape(-1, 3), rows_uv
+
+
+def face_materials(mesh: Mesh) -> Int64[ndarray, " nF"]:
+    """The material of each face, -1 for none; where the faces do not say, it is the first."""
+    material = mesh.face_data.get("material")
+    if not mesh.materials or material is None or material.ndim != 1:
+        return np.full(len(mesh.faces), 0 if mesh.materials else -1)
+    return material.astype(np.int64)
+
+
+def base_picture(material: Material) -> tuple[str, bytes] | None:
+    """File name and bytes of the base colour's texture."""
+    return next((texture[1:] for texture in material.textures if texture[0].split()[0] == "map_Kd"), None)
+
+
+def add_file(files: dict[str, bytes], name: str, content: bytes) -> str:
+    """Add a file, in place; its name, which is another where the name stands for another content."""
+    while files.get(name, content) != content:
+        name = "_" + name
+    files[name] = content
+    return name
