@@ -123,12 +123,29 @@ def test_obj_keeps_groups_and_unknown_mtl_lines(tmp_path):
     assert back.materials[0].extra == ("Ns 10", "illum 2")
 
 
-def test_ply_keeps_numbers_of_faces(tmp_path):
-    mesh = Mesh(*shapes.cube(), face_data={"label": np.arange(12), "weight": np.arange(12) / 7})
-    save(mesh, tmp_path / "a.ply")
-    back = load(tmp_path / "a.ply")
-    assert back.face_data["label"].tolist() == list(range(12))
-    assert np.array_equal(back.face_data["weight"], np.arange(12) / 7)
+@pytest.mark.parametrize(
+    "values",
+    [np.arange(12), np.arange(12) / 7, np.arange(12) % 2 == 0, np.arange(12, dtype=np.uint8), 2**40 + np.arange(12),
+     np.full(12, 4_000_000_000, dtype=np.uint32), np.arange(-6, 6, dtype=np.int8), np.full(12, -(2**53))],
+    ids=lambda values: str(values.dtype),
+)  # fmt: skip
+@pytest.mark.parametrize("name", ["label", "count", "corners", "vertex_index", "vertex_indices#", "texcoord"])
+def test_ply_keeps_numbers_of_faces(tmp_path, name, values):
+    save(Mesh(*shapes.cube(), face_data={name: values}), tmp_path / "a.ply")
+    assert np.array_equal(load(tmp_path / "a.ply").face_data[name], values)
+
+
+@pytest.mark.parametrize(
+    "name, values, words",
+    [
+        ("vertex_indices", np.arange(12), "has the name of something else"),
+        ("label", 2**53 + np.arange(12), "goes from 9007199254740992 to 9007199254741003"),
+    ],
+)
+def test_face_data_that_a_ply_cannot_hold_is_named(tmp_path, name, values, words):
+    with pytest.raises(errors.MeshFileError, match=words):
+        save(Mesh(*shapes.cube(), face_data={name: values}), tmp_path / "a.ply")
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.mark.parametrize("kind", [".obj", ".ply", ".off", ".glb"])

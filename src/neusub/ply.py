@@ -26,6 +26,8 @@ SIZES |= {"double": "f8", "int8": "i1", "uint8": "u1", "int16": "i2", "uint16": 
 SIZES |= {"int64": "i8", "uint64": "u8", "float32": "f4", "float64": "f8"}
 UV_NAMES = [("s", "t"), ("u", "v"), ("texture_u", "texture_v")]
 FACE_LISTS = ("vertex_indices", "vertex_index")
+COUNT = " count"  # after a list's name; no property's name has a blank
+EXACT = 2**53  # integers up to it are exact as doubles
 
 # A property is (name, type, type of the count or None); an element is (name, number of rows, properties).
 Property = tuple[str, str, str | None]
@@ -126,12 +128,12 @@ def _binary_element(body: bytes, at: int, n: int, properties: list[Property], or
             offset += np.dtype(kind).itemsize
         else:
             length = int(np.frombuffer(body, order + count_type, 1, offset)[0])
-            fields += [(name + "#", order + count_type), (name, order + kind, (length,))]
+            fields += [(name + COUNT, order + count_type), (name, order + kind, (length,))]
             offset += np.dtype(count_type).itemsize + length * np.dtype(kind).itemsize
     row = np.dtype(fields)
     if at + n * row.itemsize <= len(body):
         table = np.frombuffer(body, row, n, at) if n else np.zeros(0, [(p[0], p[1]) for p in properties])
-        same = all((table[p[0] + "#"] == np.shape(table[p[0]])[-1]).all() for p in properties if p[2] and n)
+        same = all((table[p[0] + COUNT] == np.shape(table[p[0]])[-1]).all() for p in properties if p[2] and n)
         if same:
             columns: Columns = {
                 p[0]: np.ascontiguousarray(table[p[0]])
@@ -223,7 +225,7 @@ def _materials(raw: RawMesh, names: list[str], folder: Path) -> None:
 def _texture(raw: RawMesh, vertex: Columns, face: Columns, counts: ndarray, kept: ndarray, triangles: ndarray) -> None:
     """UVs of the corners, or of the vertices; the latter, and normals, make seams, which are joined."""
     coordinates = face.get("texcoord")
-    if coordinates is not None and (coordinates[0] == 2 * counts).all() and len(kept) == len(counts):
+    if isinstance(coordinates, tuple) and (coordinates[0] == 2 * counts).all() and len(kept) == len(counts):
         rows, index = np.unique(coordinates[1].reshape(-1, 2).astype(np.float64), axis=0, return_inverse=True)
         raw.uv, raw.uv_faces = rows, index.reshape(-1)[triangles].astype(np.int64)
     attributes = []
@@ -252,6 +254,7 @@ def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
     Several textures are written as MeshLab does: the UVs are floats of the corners, vertices are not split, and
     `texnumber` is the texture of each face (-1: none).  Numbers of one per face go along.  What does not fit into a
     PLY is warned of: the rest of materials, other face data.
+    Raises: MeshFileError for face data with a name of the PLY's own, or with integers that none of its types holds.
     """
     pictures, files, number = _pictures(mesh)
     several = len(pictures) > 1
@@ -261,11 +264,14 @@ def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
         face.append(("float", "texcoord", mesh.uv[mesh.uv_faces].reshape(-1, 6)))
     if pictures:
         face.append(("int", "texnumber", number))
-    data = {k: v for k, v in mesh.face_data.items() if v.ndim == 1 and v.dtype.kind in "iuf" and " " not in k}
-    for k, v in data.items():
-        if not (pictures and k == "material"):  # which the texture's number is
-            face.append(({"f": "double"}.get(v.dtype.kind, "uchar" if v.dtype == np.uint8 else "int"), k, v))
-    lost = _lost_materials(mesh) + [f"face data '{k}'" for k in mesh.face_data if k not in data]
+    data = {k: v for k, v in mesh.face_data.items() if v.ndim == 1 and v.dtype.kind in "biuf" and k.split() == [k]}
+    if pictures:
+        data.pop("material", None)  # which the texture's number is
+    for key, values in data.items():
+        if key in [column[1] for column in face]:
+            raise MeshFileError(f"face_data['{key}'] has the name of something else in a PLY. Give it another.")
+        face.append((_exact_type(key, values), key, values))
+    lost = _lost_materials(mesh) + [f"face data '{k}'" for k in mesh.face_data if k not in (*data, "material")]
     if lost:
         warnings.warn(f"{name}.ply: left out {', '.join(lost)}", stacklevel=3)
     header = ["ply", "format binary_little_endian 1.0", "comment neusub"]
@@ -308,17 +314,34 @@ def _lost_materials(mesh: Mesh) -> list[str]:
     return lost + ([f"{others} textures other than base colours"] if others else [])
 
 
+def _exact_type(name: str, values: ndarray) -> str:
+    """The type that holds face data exactly.  Raises: MeshFileError for integers that none does."""
+    if values.dtype.kind == "f":
+        return "double"
+    if values.dtype.itemsize == 1 and values.dtype.kind in "bu":
+        return "uchar"
+    low, high = int(values.min()), int(values.max())
+    for kind in ("int", "uint"):
+        if np.iinfo(SIZES[kind]).min <= low and high <= np.iinfo(SIZES[kind]).max:
+            return kind
+    if max(-low, high) > EXACT:
+        raise MeshFileError(
+            f"face_data['{name}'] goes from {low} to {high}; a PLY holds integers up to {EXACT}. Give smaller ones."
+        )
+    return "double"
+
+
 def _element(element: str, columns: list[Column]) -> tuple[list[str], bytes]:
     """The header's lines and the rows."""
     lines, fields = [f"element {element} {len(columns[0][2])}"], []
     for kind, name, values in columns:
         is_list = values.ndim == 2
         lines.append(f"property {'list uchar ' if is_list else ''}{kind} {name}")
-        fields += [(f"{name} count", "u1")] if is_list else []  # no property's name has a blank
+        fields += [(name + COUNT, "u1")] if is_list else []
         fields.append((name, "<" + SIZES[kind], values.shape[1:]))
     rows = np.empty(len(columns[0][2]), dtype=fields)
     for _, name, values in columns:
         rows[name] = values
         if values.ndim == 2:
-            rows[f"{name} count"] = values.shape[1]
+            rows[name + COUNT] = values.shape[1]
     return lines, rows.tobytes()
