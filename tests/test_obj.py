@@ -67,6 +67,14 @@ def test_transparency_is_read_both_ways_round(tmp_path):
     assert "Tr" not in (tmp_path / "n.mtl").read_text()
 
 
+def test_opacity_without_a_colour_is_kept(tmp_path):
+    _written(tmp_path, "b.png", _picture("red"))
+    _written(tmp_path, "m.mtl", "newmtl glass\nd 0.25\nmap_Kd b.png\n")
+    mesh = load(_written(tmp_path, "m.obj", f"mtllib m.mtl\n{TWO_FACES}usemtl glass\n{LOWER}{UPPER}"))
+    save(mesh, tmp_path / "n.obj")
+    assert load(tmp_path / "n.obj").materials[0].color == mesh.materials[0].color == (1.0, 1.0, 1.0, 0.25)
+
+
 @pytest.mark.filterwarnings("ignore:n.ply. left out 1 textures")
 @pytest.mark.parametrize("kind", [".obj", ".glb", ".ply"])
 def test_textures_with_options_come_along(tmp_path, kind):

@@ -241,6 +241,8 @@ def _read_mtl(path: Path, report: list[str]) -> dict[str, Material]:
                     report.append(f"material {name}: no image at '{rest.strip()}'; the line is kept, no file is copied")
             else:
                 extra.append(line)
+        if color is None and alpha != 1:
+            color = (1.0, 1.0, 1.0)  # an opacity alone leaves the texture as it is
         rgba = None if color is None else (color[0], color[1], color[2], alpha)
         materials[name] = Material(name, rgba, tuple(textures), tuple(extra))
     return materials
