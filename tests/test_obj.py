@@ -114,6 +114,14 @@ def test_faces_without_material_stay_so_in_an_obj(tmp_path):
     assert colors == [None if k < 0 else (1.0, 0.0, 0.0, 1.0) for k in mesh.face_data["material"]]
 
 
+@pytest.mark.parametrize("kind", [".obj", ".ply", ".glb"])
+def test_where_faces_do_not_say_theirs_the_material_is_the_first(tmp_path, kind):
+    materials = tuple(Material(c, None, (("map_Kd", f"{c}.png", _picture(c)),)) for c in ("red", "blue"))
+    save(Mesh(**shapes.uv_box(), materials=materials), tmp_path / f"a{kind}")
+    back = load(tmp_path / f"a{kind}")
+    assert {back.materials[k].name for k in back.face_data["material"]} == {"red"}
+
+
 @pytest.mark.parametrize("overwrite", [False, True])
 @pytest.mark.parametrize("kind", [".obj", ".ply"])
 def test_a_texture_never_replaces_another_meshs(tmp_path, kind, overwrite):

@@ -16,7 +16,7 @@ from numpy import ndarray
 
 from neusub.errors import IndexRangeError, MeshFileError
 from neusub.mesh import Material
-from neusub.raw import RawMesh, add_file, triangulate
+from neusub.raw import RawMesh, add_file, face_materials, triangulate
 
 if TYPE_CHECKING:
     from neusub.mesh import Mesh
@@ -293,9 +293,7 @@ def _runs(mesh: Mesh, names: list[str]) -> list[tuple[bytes, int, int]]:
     n = len(mesh.faces)
     changed = np.zeros(n, dtype=bool)
     changed[0] = True
-    group, material = mesh.face_data.get("group"), mesh.face_data.get("material")
-    if material is not None and (not mesh.materials or material.ndim != 1):
-        material = None
+    group, material = mesh.face_data.get("group"), face_materials(mesh)
     for values in (group, material):
         if values is not None and values.ndim == 1:
             changed[1:] |= values[1:] != values[:-1]
@@ -303,8 +301,8 @@ def _runs(mesh: Mesh, names: list[str]) -> list[tuple[bytes, int, int]]:
     runs, dressed = [], False
     for start, stop in zip(starts, [*starts[1:], n]):
         header = "" if group is None else f"g {group[start]}\n"
-        dressed |= material is not None and bool(material[start] >= 0)
-        if material is not None and dressed:  # a name holds until the next
+        dressed |= bool(material[start] >= 0)
+        if dressed:  # a name holds until the next
             header += f"usemtl {names[material[start]]}\n"
         runs.append((header.encode(), int(start), int(stop)))
     return runs
@@ -320,7 +318,7 @@ def _mtl_files(mesh: Mesh, name: str, names: list[str]) -> dict[str, bytes]:
         lines += material.extra
         for role, file_name, content in material.textures:
             lines.append(f"{role} {add_file(files, file_name, content)}")
-    if (mesh.face_data.get("material", np.zeros(1)) < 0).any():
+    if (face_materials(mesh) < 0).any():
         lines.append(f"newmtl {names[-1]}")
     files[f"{name}.mtl"] = ("\n".join(lines) + "\n").encode()
     return files
