@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import sys
 from dataclasses import replace
 
 import numpy as np
@@ -57,6 +58,21 @@ def test_names_that_differ_stay_different(tmp_path):
         text = f"mtllib m.mtl\n{TWO_FACES}usemtl {pair[0]} # the first\n{LOWER}usemtl {pair[1]}\n{UPPER}"
         mesh = load(_written(tmp_path, "m.obj", text.encode(coding)))
         assert [(m.name, m.color[0]) for m in mesh.materials] == [(pair[0], 0.0), (pair[1], 1.0)]
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="names of files are any bytes on Linux")
+@pytest.mark.parametrize("kind", [".obj", ".ply"])
+def test_a_file_name_that_is_no_utf_8_keeps_its_materials(tmp_path, kind):
+    """A texture, too, gets such a name, as another picture has its own."""
+    name = b"tex\xe9".decode(errors="surrogateescape")
+    _written(tmp_path, "a.png", _picture("red"))
+    material = Material("rö", None, (("map_Kd", "a.png", _picture("blue")),))
+    mesh = Mesh(**shapes.uv_box(), face_data={"material": np.zeros(12, np.int64)}, materials=(material,))
+    save(mesh, tmp_path / f"{name}{kind}")
+    back = load(tmp_path / f"{name}{kind}")
+    assert back.materials[0].textures == (("map_Kd", f"{name}_a.png", _picture("blue")),)
+    assert kind == ".ply" or back.materials[0].name == "rö"
+    assert not [line for line in back.load_report if "missing" in line or "no image" in line]
 
 
 def test_transparency_is_read_both_ways_round(tmp_path):

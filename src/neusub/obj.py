@@ -7,6 +7,7 @@ for OBJ here (`v` rows stay as they are, in their order) could not be kept.
 from __future__ import annotations
 
 import re
+from contextlib import suppress
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -199,15 +200,26 @@ def decoded(text: bytes) -> str:
         return text.decode("latin-1")
 
 
+def named_file(folder: Path, name: str) -> Path:
+    """The file of that name; if there is none, one whose name is the same in Latin-1."""
+    path = folder / name
+    if not path.is_file():
+        with suppress(UnicodeError):
+            latin = folder / name.encode("latin-1").decode(errors="surrogateescape")
+            return latin if latin.is_file() else path
+    return path
+
+
 def _libraries(folder: Path, names: str) -> list[Path]:
     """The files of an `mtllib`: several, or one whose name has blanks."""
-    return [folder / name for name in ([names] if (folder / names).is_file() else names.split())]
+    whole = named_file(folder, names)
+    return [whole] if whole.is_file() else [named_file(folder, name) for name in names.split()]
 
 
 def _image(folder: Path, words: str) -> tuple[str, Path]:
     """The options before a texture's file name, and the file."""
     def found(name: str) -> Path:
-        return folder / name.strip().split("  ")[0].replace("\\", "/")
+        return named_file(folder, name.strip().split("  ")[0].replace("\\", "/"))
 
     options = TEXTURE_OPTIONS.match(words)
     if options is None or found(words).is_file():
@@ -220,7 +232,7 @@ def _read_mtl(path: Path, report: list[str]) -> dict[str, Material]:
         report.append(f"the material file {path.name} is missing; materials keep their names only")
         return {}
     materials: dict[str, Material] = {}
-    text = decoded(path.read_bytes().removeprefix(BOM))
+    text = "\n".join(map(decoded, path.read_bytes().removeprefix(BOM).splitlines()))
     for block in re.split(r"^\s*newmtl\s+", text, flags=re.MULTILINE)[1:]:
         name, *body = [re.split(r"(?:^|\s)#", line)[0].strip() for line in block.splitlines()]
         color, alpha, textures, extra = None, 1.0, [], []
@@ -254,7 +266,7 @@ def write_obj(mesh: Mesh, name: str) -> dict[str, bytes]:
     names = _unique([*(material.name for material in mesh.materials), UNNAMED])
     parts = [b"# neusub\n"]
     if mesh.materials:
-        parts.append(f"mtllib {name}.mtl\n".encode())
+        parts.append(f"mtllib {name}.mtl\n".encode(errors="surrogateescape"))
         files.update(_mtl_files(mesh, name, names))
     rows = mesh.vertices if mesh.colors is None else np.concatenate([mesh.vertices, mesh.colors[:, :3]], axis=1)
     parts.append(formatted_rows(rows, "v" + " %r" * rows.shape[1] + "\n"))
@@ -320,5 +332,5 @@ def _mtl_files(mesh: Mesh, name: str, names: list[str]) -> dict[str, bytes]:
             lines.append(f"{role} {add_file(files, file_name, content)}")
     if (face_materials(mesh) < 0).any():
         lines.append(f"newmtl {names[-1]}")
-    files[f"{name}.mtl"] = ("\n".join(lines) + "\n").encode()
+    files[f"{name}.mtl"] = ("\n".join(lines) + "\n").encode(errors="surrogateescape")  # names of textures
     return files

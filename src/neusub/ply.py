@@ -62,7 +62,7 @@ def _header(data: bytes, path: Path) -> tuple[str, list[tuple[str, int, list[Pro
             f"{path}: no PLY header from 'ply' to 'end_header'. The file is truncated or of another kind."
         )
     form, elements, comments = "", [], []
-    for line in data[:end].decode(errors="replace").splitlines()[1:]:
+    for line in data[:end].decode(errors="surrogateescape").splitlines()[1:]:
         words = line.split()
         try:
             if words[:1] == ["format"]:
@@ -278,7 +278,7 @@ def write_ply(mesh: Mesh, name: str) -> dict[str, bytes]:
     header += [f"comment TextureFile {picture}" for picture in pictures]
     vertex_lines, vertex_rows = _element("vertex", _vertex_columns(mesh, index, uv))
     face_lines, face_rows = _element("face", face)
-    text = "\n".join([*header, *vertex_lines, *face_lines, "end_header\n"]).encode()
+    text = "\n".join([*header, *vertex_lines, *face_lines, "end_header\n"]).encode(errors="surrogateescape")
     return {f"{name}.ply": text + vertex_rows + face_rows, **files}
 
 
