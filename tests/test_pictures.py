@@ -11,7 +11,8 @@ from PIL import Image
 import neusub
 import shapes
 from neusub.errors import MeshFileError
-from neusub.mesh import Mesh
+from neusub.mesh import Material, Mesh
+from test_io import _picture
 
 
 def ball(radius: float = 1.0) -> Mesh:
@@ -55,6 +56,28 @@ def test_a_heat_map_has_colours_and_a_bar(tmp_path):
     assert pixels.shape[:2] == (270, 300)
     assert np.ptp(pixels[:200], axis=-1).max() > 60
     assert np.ptp(pixels[200:], axis=-1).max() > 60
+
+
+@pytest.mark.parametrize("smooth", [False, True])
+@pytest.mark.parametrize("red, blue", [("picture", "picture"), ("picture", "color"), ("color", "color")])
+def test_each_face_shows_its_own_material(tmp_path, red, blue, smooth):
+    """The box's front and top are blue, its right side red; that is what the camera sees."""
+    materials = tuple(
+        Material(name, (*rgb, 1.0)) if kind == "color" else
+        Material(name, textures=(("map_Kd", f"{name}.png", _picture(name)),))
+        for name, rgb, kind in (("red", (1.0, 0.0, 0.0), red), ("blue", (0.0, 0.0, 1.0), blue))
+    )
+    box = shapes.uv_box()
+    is_right = (box["vertices"][box["faces"]][:, :, 0] == 1).all(axis=1)
+    mesh = Mesh(**box, face_data={"material": np.where(is_right, 0, 1)}, materials=materials)
+    path = neusub.render(mesh, tmp_path / "box.png", panel=(100, 100), smooth=smooth, camera=(1, 0.2, 1))
+    pixels = np.asarray(Image.open(path).convert("RGB")).astype(int)
+    r, g, b = np.moveaxis(pixels, -1, 0)
+    is_red, is_blue = (r > g + 60) & (r > b + 60), (b > g + 60) & (b > r + 60)
+    assert is_red[:, 55:].mean() > 0.2
+    assert is_blue[:, :45].mean() > 0.2
+    assert not is_red[:, :45].any()
+    assert not is_blue[40:, 55:].any()  # above is the top
 
 
 def test_nothing_is_left_behind_by_a_failure(tmp_path):

@@ -13,6 +13,7 @@ import numpy as np
 from neusub.errors import MeshFileError
 from neusub.files import replacing
 from neusub.mesh import Mesh
+from neusub.raw import base_picture, face_materials
 
 if TYPE_CHECKING:
     import pyvista
@@ -102,51 +103,64 @@ def _overlap(a: Mesh, b: Mesh) -> bool:
 def _draw(plotter: pyvista.Plotter, mesh: Mesh, error: np.ndarray | None, top: float, smooth: bool,
           wireframe: bool) -> None:
     """Add one mesh to the current panel."""
+    import pyvista
+
     look: dict[str, Any] = {"smooth_shading": smooth, "show_edges": wireframe, "edge_color": EDGE, "line_width": 1,
                             "ambient": 0.25, "diffuse": 0.75, "specular": 0.1, "show_scalar_bar": False}
-    texture = _texture(mesh)
-    data = _polydata(mesh, split=texture is not None and error is None)
     if error is not None:
-        plotter.add_mesh(data, scalars=error, cmap="viridis", clim=(0, top or 1), **look)
-    elif texture is not None:
-        plotter.add_mesh(data, texture=texture, **look)
-    elif mesh.colors is not None:
-        plotter.add_mesh(data, scalars=np.clip(mesh.colors[:, :3], 0, 1), rgb=True, **look)
+        plotter.add_mesh(pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces), scalars=error, cmap="viridis",
+                         clim=(0, top or 1), **look)
     else:
-        plotter.add_mesh(data, color=CLAY, **look)
+        _draw_materials(plotter, mesh, look)
     plotter.set_background("white")  # type: ignore[arg-type]
 
 
-def _polydata(mesh: Mesh, split: bool) -> pyvista.PolyData:
-    """The mesh for the renderer; split gives each texture vertex its own point, as the renderer has one UV a point."""
+def _draw_materials(plotter: pyvista.Plotter, mesh: Mesh, look: dict[str, Any]) -> None:
+    """Each face with its texture, or else its vertices' colours, or else its material's."""
+    import pyvista
+    from matplotlib.colors import to_rgb
+
+    material = face_materials(mesh)
+    pictures = {k: base_picture(m) for k, m in enumerate(mesh.materials) if mesh.uv is not None}
+    is_plain = np.ones(len(mesh.faces), dtype=bool)
+    for k, picture in pictures.items():
+        chosen = material == k
+        if picture is not None and chosen.any():
+            is_plain &= ~chosen
+            plotter.add_mesh(_with_uv(mesh, chosen), texture=_texture(*picture), **look)
+    if not is_plain.any():
+        return
+    data = pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces[is_plain])
+    if mesh.colors is not None:
+        plotter.add_mesh(data, scalars=np.clip(mesh.colors[:, :3], 0, 1), rgb=True, preference="point", **look)
+    else:
+        clay = to_rgb(CLAY)
+        palette = np.array([*(m.color[:3] if m.color else clay for m in mesh.materials), clay])  # the last: no material
+        colors = np.clip(palette[material[is_plain]], 0, 1)
+        plotter.add_mesh(data, scalars=colors, rgb=True, preference="cell", **look)
+
+
+def _with_uv(mesh: Mesh, chosen: np.ndarray) -> pyvista.PolyData:
+    """The chosen faces, each texture vertex being a point of its own, as the renderer has one UV a point."""
     import pyvista
 
-    if not split or mesh.uv is None or mesh.uv_faces is None:
-        return pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces)
-    pairs = np.stack([mesh.faces.reshape(-1), mesh.uv_faces.reshape(-1)], axis=1)
+    assert mesh.uv is not None and mesh.uv_faces is not None
+    pairs = np.stack([mesh.faces[chosen].reshape(-1), mesh.uv_faces[chosen].reshape(-1)], axis=1)
     unique, corner = np.unique(pairs, axis=0, return_inverse=True)
     data = pyvista.PolyData.from_regular_faces(mesh.vertices[unique[:, 0]], corner.reshape(-1, 3))
     data.active_texture_coordinates = mesh.uv[unique[:, 1]]
     return data
 
 
-def _texture(mesh: Mesh) -> pyvista.Texture | None:
-    """The base colour's image of the first material that has one."""
+def _texture(name: str, content: bytes) -> pyvista.Texture:
     import pyvista
     from PIL import Image, UnidentifiedImageError
 
-    if mesh.uv is None:
-        return None
-    for material in mesh.materials:
-        for role, name, content in material.textures:
-            if role.split()[0] != "map_Kd":
-                continue
-            try:
-                image = np.asarray(Image.open(BytesIO(content)).convert("RGB"))
-            except UnidentifiedImageError:
-                raise MeshFileError(f"the texture {name} is no image that can be read. Replace it.") from None
-            return pyvista.Texture(image)  # type: ignore[arg-type]
-    return None
+    try:
+        image = np.asarray(Image.open(BytesIO(content)).convert("RGB"))
+    except UnidentifiedImageError:
+        raise MeshFileError(f"the texture {name} is no image that can be read. Replace it.") from None
+    return pyvista.Texture(image)  # type: ignore[arg-type]
 
 
 def aim_camera(plotter: pyvista.Plotter, mesh: Mesh, camera: tuple, up: tuple, panel: tuple[int, int]) -> None:
