@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import base64
 import io
-import json
 import struct
 import warnings
 from concurrent.futures import ThreadPoolExecutor
@@ -12,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-import trimesh
 from PIL import Image
 
 import shapes
@@ -203,72 +200,6 @@ def test_ply_joins_across_a_normal_seam_only(tmp_path):
         assert len(mesh.vertices) == expected
 
 
-def _soup(vertices, faces, **visual):
-    """Each face with its own three vertices, as exporters write them whose tangents differ."""
-    triangles = np.arange(3 * len(faces)).reshape(-1, 3)
-    return trimesh.Trimesh(vertices[faces].reshape(-1, 3), triangles, process=False, **visual)
-
-
-def test_glb_joins_vertices_that_are_alike_in_all_that_is_kept(tmp_path):
-    _soup(*shapes.cube()).export(tmp_path / "a.glb")
-    mesh = load(tmp_path / "a.glb")
-    assert (len(mesh.vertices), info(mesh).boundary_edges) == (8, 0)
-    assert mesh.load_report == ("joined 28 vertices at edges written twice; 8 are left",)
-
-
-def test_glb_keeps_one_uv_of_vertices_that_are_alike(tmp_path):
-    vertices, faces = shapes.cube()
-    uv = vertices[faces].reshape(-1, 3)[:, :2] / 2
-    _soup(vertices, faces, visual=trimesh.visual.TextureVisuals(uv=uv)).export(tmp_path / "a.glb")
-    mesh = load(tmp_path / "a.glb")
-    assert np.array_equal(mesh.uv_faces, mesh.faces)
-    assert np.allclose(mesh.uv, mesh.vertices[:, :2] / 2)
-
-
-def test_glb_leaves_vertices_of_other_colours_apart(tmp_path):
-    colors = np.repeat(np.arange(12) * 20, 3)[:, None] * [1, 1, 1, 0] + [0, 0, 0, 255]
-    _soup(*shapes.cube(), vertex_colors=colors.astype(np.uint8)).export(tmp_path / "a.glb")
-    assert len(load(tmp_path / "a.glb").vertices) == 36
-
-
-def test_glb_leaves_faces_apart_that_would_not_agree(tmp_path):
-    """The second of two triangles is turned: joined, they would be no oriented surface."""
-    vertices = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]])
-    _soup(vertices, np.array([[0, 1, 2], [1, 2, 3]])).export(tmp_path / "a.glb")
-    assert len(load(tmp_path / "a.glb").vertices) == 6
-
-
-@pytest.mark.parametrize(
-    "text, n_vertices, n_faces",
-    [
-        (TRIANGLE + "f -3 -2 -1\n", 3, 1),
-        (TRIANGLE + "f 1 2 3\n" + TRIANGLE + "f -3 -2 -1\n", 6, 2),
-        (TRIANGLE.replace(" ", "\t") + "f\t1\t2\t3\n", 3, 1),
-        ((TRIANGLE + "f 1 2 3\n").replace("\n", "\r\n"), 3, 1),
-        ("# a comment\n  " + TRIANGLE + "  f 1 2 3 # another\n", 3, 1),
-        (TRIANGLE + "vt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\n", 3, 1),
-        (TRIANGLE + "vn 0 0 1\nf 1//1 2//1 3//1\n", 3, 1),
-        (TRIANGLE + "vt 0 0\nf 1/1 2/1 3/1\n", 3, 1),
-        (TRIANGLE + "f 1 2 \\\n 3\n", 3, 1),
-        (TRIANGLE + "v 1 1 0\nf 1 2 4 3\n", 4, 2),
-        (TRIANGLE + "v 1 1 0\nv 0 2 0\nf 1 2 4 3\nf 3 4 5\n", 5, 3),
-        ("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n", 3, 1),
-        ("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n", 3, 1),
-    ],
-    ids=["negative", "negative twice", "tabs", "CRLF", "comments", "v/vt/vn", "v//vn", "v/vt", "continued line", "quad",
-         "mixed", "colours", "weights"],
-)  # fmt: skip
-def test_every_way_to_write_an_obj_is_read(tmp_path, text, n_vertices, n_faces):
-    mesh = load(_written(tmp_path, "a.obj", text))
-    assert (len(mesh.vertices), len(mesh.faces)) == (n_vertices, n_faces)
-    assert np.allclose(np.cross(*(mesh.vertices[mesh.faces[0]][1:] - mesh.vertices[mesh.faces[0]][0])), [0, 0, 1])
-
-
-def test_obj_vertex_colors_are_read(tmp_path):
-    mesh = load(_written(tmp_path, "a.obj", "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n"))
-    assert np.array_equal(mesh.colors, np.eye(3))
-
-
 def test_triangulating_is_reported(tmp_path):
     mesh = load(_written(tmp_path, "a.obj", TRIANGLE + "v 1 1 0\nf 1 2 4 3\n"))
     assert mesh.load_report == ("cut 1 polygons of more than three corners into triangles",)
@@ -428,14 +359,6 @@ def test_a_dirty_file_gives_a_mesh_or_a_named_error(name):
             assert len(str(error)) > 20
 
 
-def test_what_a_glb_material_loses_is_reported(tmp_path):
-    vertices, faces = shapes.cube()
-    material = trimesh.visual.material.PBRMaterial(name="skin", doubleSided=True, emissiveFactor=[1, 0, 0])
-    visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)
-    trimesh.Trimesh(vertices, faces, visual=visual, process=False).export(tmp_path / "skin.glb")
-    assert "material skin: emissiveFactor, doubleSided left out" in load(tmp_path / "skin.glb").load_report
-
-
 def test_errors_name_the_elements_of_the_file_where_unused_vertices_were_dropped(tmp_path):
     path = tmp_path / "m.obj"
     path.write_text("v 9 9 9\nv 0 0 0\nv 1 0 0\nv 0 1 0\nv 0 0 1\nv 0 -1 0\nf 2 3 4\nf 3 2 5\nf 2 3 6\n")
@@ -479,76 +402,3 @@ def test_single_precision_that_is_too_coarse_for_a_mesh_is_told(tmp_path, kind):
         save(far, tmp_path / "far.ply")
     with pytest.warns(UserWarning, match=r"steps of 0\.031 .* where edges are 0\.00\d+ long"):
         save(far, tmp_path / f"far{kind}")
-def test_what_a_glb_material_has_by_default_is_no_loss(tmp_path):
-    vertices, faces = shapes.cube()
-    defaults = {"doubleSided": False, "emissiveFactor": [0.0, 0, 0], "alphaMode": "OPAQUE", "alphaCutoff": 0.5}
-    visual = trimesh.visual.TextureVisuals(material=trimesh.visual.material.PBRMaterial(name="skin", **defaults))
-    trimesh.Trimesh(vertices, faces, visual=visual, process=False).export(tmp_path / "skin.glb")
-    mesh = load(tmp_path / "skin.glb")
-    assert mesh.materials[0].name == "skin"
-    assert not mesh.load_report
-
-
-@pytest.mark.parametrize("alpha", [0.2, 1.0])
-@pytest.mark.parametrize("extra", [(), ("Pm 1.0", "Pr 0.25")])
-def test_glb_keeps_transparency_and_metal(tmp_path, alpha, extra):
-    material = Material("skin", (1.0, 0.4, 0.2, alpha), extra=extra)
-    save(Mesh(*shapes.cube(), materials=(material,)), tmp_path / "a.glb")
-    mesh = load(tmp_path / "a.glb")
-    assert mesh.materials == (material,)
-    assert not mesh.load_report
-    (written,) = _header(tmp_path / "a.glb")["materials"]
-    assert written["pbrMetallicRoughness"]["metallicFactor"] == len(extra) / 2
-    assert written.get("alphaMode", "OPAQUE") == ("BLEND" if alpha < 1 else "OPAQUE")
-
-
-def _header(path):
-    data = path.read_bytes()
-    return json.loads(data[20 : 20 + int.from_bytes(data[12:16], "little")])
-
-
-def test_an_opaque_glb_material_has_no_alpha_and_is_a_metal_unless_it_says_no(tmp_path):
-    vertices, faces = shapes.cube()
-    material = trimesh.visual.material.PBRMaterial(name="skin", baseColorFactor=[1.0, 0, 0, 0.2])
-    visual = trimesh.visual.TextureVisuals(material=material)
-    trimesh.Trimesh(vertices, faces, visual=visual, process=False).export(tmp_path / "skin.glb")
-    (material,) = load(tmp_path / "skin.glb").materials
-    assert material == Material("skin", (1.0, 0.0, 0.0, 1.0), extra=("Pm 1.0",))
-
-
-def _with_uris(path, **uris):
-    """A GLB of a textured cube, with URIs in the place of its own bytes (images, buffers)."""
-    vertices, faces = shapes.cube()
-    material = trimesh.visual.material.PBRMaterial(name="skin", baseColorTexture=Image.new("RGB", (4, 4), "red"))
-    visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)
-
-    def refer(tree):
-        for key, uri in uris.items():
-            tree[key][0] = {"uri": uri, "byteLength": tree["buffers"][0]["byteLength"]}
-
-    scene = trimesh.Scene(trimesh.Trimesh(vertices, faces, visual=visual, process=False))
-    path.write_bytes(trimesh.exchange.gltf.export_glb(scene, tree_postprocessor=refer))
-    return path
-
-
-def test_images_beside_a_glb_are_read(tmp_path):
-    (tmp_path / "my textures").mkdir()
-    _written(tmp_path / "my textures", "a.png", _picture("blue"))
-    embedded = "data:image/png;base64," + base64.b64encode(_picture("blue")).decode()
-    for uri in ("my%20textures/a.png", embedded):
-        mesh = load(_with_uris(tmp_path / "a.glb", images=uri))
-        ((role, _, content),) = mesh.materials[0].textures
-        assert role == "map_Kd"
-        assert Image.open(io.BytesIO(content)).getpixel((0, 0)) == (0, 0, 255)
-        assert not mesh.load_report
-
-
-def test_a_missing_image_of_a_glb_is_reported(tmp_path):
-    mesh = load(_with_uris(tmp_path / "a.glb", images="Textures/a.png"))
-    assert mesh.load_report == ("no image at 'Textures/a.png'; the texture is left out",)
-    assert not mesh.materials[0].textures
-
-
-def test_missing_bytes_of_a_glb_are_named(tmp_path):
-    with pytest.raises(errors.MeshFileError, match=r"a\.bin is missing"):
-        load(_with_uris(tmp_path / "a.glb", buffers="a.bin"))

@@ -10,7 +10,8 @@ import pytest
 
 import shapes
 from neusub import errors
-from neusub.mesh import Material, Mesh, find_problems
+from neusub.mesh import Material, Mesh
+from neusub.problems import find_problems
 
 GOOD = {
     "tetrahedron": shapes.tetrahedron(),

@@ -209,3 +209,34 @@ def test_a_texture_number_without_texture_is_reported(tmp_path):
     mesh = load(_written(tmp_path, "a.ply", _meshlab_ply([1, 2])))
     assert mesh.face_data["material"].tolist() == [1, -1]
     assert mesh.load_report == ("1 faces have a texture that is none of the 2: left without",)
+
+
+@pytest.mark.parametrize(
+    "text, n_vertices, n_faces",
+    [
+        (TRIANGLE + "f -3 -2 -1\n", 3, 1),
+        (TRIANGLE + "f 1 2 3\n" + TRIANGLE + "f -3 -2 -1\n", 6, 2),
+        (TRIANGLE.replace(" ", "\t") + "f\t1\t2\t3\n", 3, 1),
+        ((TRIANGLE + "f 1 2 3\n").replace("\n", "\r\n"), 3, 1),
+        ("# a comment\n  " + TRIANGLE + "  f 1 2 3 # another\n", 3, 1),
+        (TRIANGLE + "vt 0 0\nvn 0 0 1\nf 1/1/1 2/1/1 3/1/1\n", 3, 1),
+        (TRIANGLE + "vn 0 0 1\nf 1//1 2//1 3//1\n", 3, 1),
+        (TRIANGLE + "vt 0 0\nf 1/1 2/1 3/1\n", 3, 1),
+        (TRIANGLE + "f 1 2 \\\n 3\n", 3, 1),
+        (TRIANGLE + "v 1 1 0\nf 1 2 4 3\n", 4, 2),
+        (TRIANGLE + "v 1 1 0\nv 0 2 0\nf 1 2 4 3\nf 3 4 5\n", 5, 3),
+        ("v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n", 3, 1),
+        ("v 0 0 0 1\nv 1 0 0 1\nv 0 1 0 1\nf 1 2 3\n", 3, 1),
+    ],
+    ids=["negative", "negative twice", "tabs", "CRLF", "comments", "v/vt/vn", "v//vn", "v/vt", "continued line", "quad",
+         "mixed", "colours", "weights"],
+)  # fmt: skip
+def test_every_way_to_write_an_obj_is_read(tmp_path, text, n_vertices, n_faces):
+    mesh = load(_written(tmp_path, "a.obj", text))
+    assert (len(mesh.vertices), len(mesh.faces)) == (n_vertices, n_faces)
+    assert np.allclose(np.cross(*(mesh.vertices[mesh.faces[0]][1:] - mesh.vertices[mesh.faces[0]][0])), [0, 0, 1])
+
+
+def test_obj_vertex_colors_are_read(tmp_path):
+    mesh = load(_written(tmp_path, "a.obj", "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n"))
+    assert np.array_equal(mesh.colors, np.eye(3))

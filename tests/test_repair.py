@@ -9,7 +9,8 @@ from hypothesis import strategies as st
 
 import shapes
 from neusub import errors
-from neusub.mesh import Mesh, find_problems
+from neusub.mesh import Mesh
+from neusub.problems import find_problems
 from neusub.raw import RawMesh
 from neusub.repair import info, repair
 

@@ -9,7 +9,8 @@ from jaxtyping import Float64, Int64
 from numpy import ndarray
 
 from neusub.errors import MeshError
-from neusub.mesh import EdgeGroups, Material, Mesh, face_edge_groups, find_problems, vertex_fans
+from neusub.mesh import Material, Mesh
+from neusub.problems import EdgeGroups, face_edge_groups, find_problems, vertex_fans
 
 __all__ = [
     "RawMesh", "add_file", "bad_vertices", "base_picture", "count_coincident", "face_materials", "join_copies",

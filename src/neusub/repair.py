@@ -9,7 +9,8 @@ from jaxtyping import Float64, Int64
 from numpy import ndarray
 
 from neusub.errors import MeshError, NonFiniteError
-from neusub.mesh import Mesh, duplicate_faces, face_edge_groups, find_problems, non_finite_problems, vertex_fans
+from neusub.mesh import Mesh
+from neusub.problems import duplicate_faces, face_edge_groups, find_problems, non_finite_problems, vertex_fans
 from neusub.raw import RawMesh, count_coincident
 from neusub.raw import weld as weld_borders
 from neusub.topology import Topology, build_topology, connected_components
