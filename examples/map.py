@@ -19,6 +19,7 @@ from neusub.map_pictures import render_map
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--output", type=Path, default=Path("map.png"))
+    options = parser.parse_args()
     fine = blob()
     result = decimate(fine, n_faces=300)
     sys.stdout.write(f"{result.report()}\n")
@@ -30,7 +31,7 @@ def main() -> None:
 
     height = result.transfer(fine.vertices[:, 1], levels=2)  # a signal on the fine vertices, on two levels
     sys.stdout.write(f"{len(height)} values on the second level, {height.min():.3f} to {height.max():.3f}\n")
-    sys.stdout.write(f"picture: {render_map(result, parser.parse_args().output)}\n")
+    sys.stdout.write(f"picture: {render_map(result, options.output)}\n")
 
 
 if __name__ == "__main__":

@@ -245,6 +245,16 @@ def test_triangles_too_thin_for_single_precision_are_not_turned_over_either(monk
     assert max(count()) > 0
 
 
+@pytest.mark.parametrize("thickness", [1e-4, 1e-6])
+def test_thin_plates_keep_their_thickness(thickness):
+    vertices, faces = shapes.icosphere(2)
+    vertices = (vertices + 0.02 * np.random.default_rng(0).standard_normal(vertices.shape)) * [1, 1, thickness]
+    mesh = Mesh(vertices, faces)
+    single, double = (Subdivider.load(device="cpu", dtype=dtype).subdivide(mesh, 2)[-1].vertices[:, 2]
+                      for dtype in (torch.float32, torch.float64))
+    np.testing.assert_allclose(single, double, atol=1e-3 * thickness)
+
+
 # --- sharp edges of flat faces -----------------------------------------------------------------------------------
 
 

@@ -65,6 +65,16 @@ def test_what_crosses_in_the_input_may_stay_and_nothing_comes_to_it():
     assert held and held <= pairs_of(midpoints)
 
 
+@pytest.mark.parametrize("seed", range(6))
+@pytest.mark.parametrize("scheme", ["loop", "butterfly"])
+def test_never_do_more_faces_cross_than_without(seed, scheme):
+    """Loop smooths what midpoints leave crossing: to take its turned triangles back there would bring crossings."""
+    vertices, faces = shapes.icosphere(1)
+    mesh = Mesh(vertices + 0.25 * np.random.default_rng(seed).standard_normal(vertices.shape), faces)
+    free, held = (neusub.subdivide(mesh, scheme, 1, uncross=on)[-1] for on in (False, True))
+    assert len(pairs_of(held)) <= len(pairs_of(free))
+
+
 @pytest.mark.parametrize("make", [shapes.pocket, lambda: shapes.bumpy(shapes.torus(10, 8), 0.5),
                                   lambda: shapes.bumpy(shapes.grid(6, 5), 0.2)])
 def test_what_is_taken_back_turns_nothing_over(make):

@@ -200,6 +200,11 @@ def test_a_stream_gives_the_same_pairs_in_the_same_order_whatever_the_workers():
     assert not np.array_equal(one[0].faces, one[2].faces)
 
 
+def test_a_stream_keeps_at_least_one_pair_ready():
+    with pytest.raises(ValueError, match="ahead = 0"):
+        PairStream([Mesh(*shapes.torus(24, 16))], ahead=0)
+
+
 def test_workers_of_a_loader_share_the_pairs_of_a_stream(monkeypatch):
     stream, names = PairStream([Mesh(*shapes.icosphere(3))], CONFIG, workers=1, ahead=2), []
     for worker in range(2):

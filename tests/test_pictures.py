@@ -38,6 +38,24 @@ def test_a_smaller_result_looks_smaller_beside_its_input(tmp_path):
     assert pixels[:, 200:].sum() < 0.4 * pixels[:, :200].sum()
 
 
+@pytest.mark.parametrize("size, share", [(1.9, 1.0), (5.0, 0.4)])
+def test_a_larger_result_fills_its_panel_or_has_a_frame_of_its_own(tmp_path, size, share):
+    panel = drawn(neusub.render([ball(), ball(size)], tmp_path / "two.png", panel=(200, 200)))[:, 200:]
+    assert panel[80:120, 80:120].all()
+    assert share - 0.1 < panel.mean() < share + 0.2
+
+
+def test_a_heat_map_shows_what_lies_between_vertices_on_the_reference(tmp_path):
+    coarse = Mesh(*shapes.icosphere(0))  # its vertices are the sphere's
+    fine = Mesh(*shapes.icosphere(5))
+    pixels = np.asarray(Image.open(neusub.render([coarse, fine], tmp_path / "a.png", panel=(200, 200), reference=fine)))
+    yellow = (pixels[:200, :, 0].astype(int) - pixels[:200, :, 2]) > 100  # the far end of viridis
+    assert yellow[:, :200].mean() > 0.02
+    assert not yellow[:, 200:].any()
+    neusub.render(fine, tmp_path / "b.png", panel=(200, 200), reference=Mesh(fine.vertices + 1e-16, fine.faces))
+    assert not np.ptp(np.asarray(Image.open(tmp_path / "b.png"))[60:140, 60:140, 1].astype(int)) > 100  # of rounding
+
+
 def test_panels_break_into_rows(tmp_path):
     path = neusub.render([ball()] * 3, tmp_path / "rows.png", panel=(100, 100), columns=2)
     assert Image.open(path).size == (200, 200)

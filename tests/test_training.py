@@ -145,6 +145,15 @@ def test_mixed_precision_trains_the_default_network(files, tmp_path):
     assert np.isfinite(train(*files, tmp_path / "run", config).best_loss)
 
 
+def test_without_held_out_pairs_shallow_steps_do_not_choose_the_epoch(files, tmp_path):
+    """A step that stops at level 1 has a smaller loss: the epoch with the most of them would seem the best."""
+    config = replace(CONFIG, epochs=8, shallow=0.5, learning_rate=1e-9, network=PRESETS["default"].network)
+    losses = []  # of weights that stay as they are
+    result = train(files[0], [], tmp_path / "run", config, on_epoch=lambda row: losses.append(row["training_loss"]))
+    assert result.best_epoch == 8
+    assert result.best_loss == losses[-1] > min(losses)
+
+
 def test_the_seed_decides_the_run(files, tmp_path):
     one = train(*files, tmp_path / "1", CONFIG).best_loss
     assert train(*files, tmp_path / "2", CONFIG).best_loss == one
@@ -165,6 +174,9 @@ def test_a_run_is_not_resumed_with_other_options_or_data(files, tmp_path):
         train(*files, tmp_path / "run", replace(CONFIG, weighting="areas"), resume=True)
     with pytest.raises(TrainingError, match="other pair files"):
         train(files[1], files[1], tmp_path / "run", CONFIG, resume=True)
+    train([*files[0], *files[1]], [], tmp_path / "all", CONFIG)
+    with pytest.raises(TrainingError, match="the same ones held out"):
+        train(*files, tmp_path / "all", CONFIG, resume=True)
 
 
 def test_a_run_goes_on_for_another_cycle_as_if_asked_for_it_at_the_start(files, tmp_path):
@@ -214,6 +226,10 @@ def test_a_run_can_start_from_a_model(files, tmp_path):
     again = train(*files, tmp_path / "again", replace(config, epochs=1), start=still.model)  # with its card in Python
     assert train(*files, tmp_path / "again", replace(config, epochs=2), start=still.model, resume=True).epochs == 2
     assert again.model.card["training"]["start"]["training"]["start"]["hash"] == origin["hash"]
+    worse = train(*files, tmp_path / "worse", replace(config, epochs=2, learning_rate=0.05), start=still.model)
+    assert (worse.best_epoch, worse.best_loss < np.inf) == (0, True)
+    for name, weight in worse.model.network.state_dict().items():
+        assert torch.equal(weight, still.model.network.state_dict()[name])
     with pytest.raises(TrainingError, match=r"another network: width 48, not 32, .*relative True, not False"):
         train(*files, tmp_path / "other", CONFIG, start=start)
 
@@ -358,7 +374,7 @@ def test_a_folder_of_pairs_is_named(tmp_path):
 
 
 @pytest.mark.parametrize("name, value", [("loss", "sqared"), ("weighting", "area"), ("schedule", "cos"),
-                                         ("input", "on")])
+                                         ("input", "on"), ("precision", "64-true")])
 def test_a_misspelt_option_is_named(name, value):
     with pytest.raises(ValueError, match=f"{name} = '{value}': take one of"):
         replace(CONFIG, **{name: value})

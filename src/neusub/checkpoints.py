@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, fields
+from itertools import zip_longest
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -65,8 +66,10 @@ def load_checkpoint(path: Path, run: Run) -> None:
         if was != now and field.name not in free:
             raise TrainingError(f"{path}: the run has {field.name} = {was!r}, not {now!r}. Resume it with its own "
                                 "options, or choose another folder.")
-    if [entry["hash"] for entry in header["data"]] != [entry["hash"] for entry in run.data]:
-        raise TrainingError(f"{path}: the run was begun on other pair files. Resume it with those.")
+    for was, now in zip_longest(header["data"], run.data, fillvalue={}):  # before they said so, none was known
+        if (was.get("hash"), was.get("held_out", now.get("held_out"))) != (now.get("hash"), now.get("held_out")):
+            raise TrainingError(f"{path}: the run was begun on other pair files. Resume it with those, and the same "
+                                "ones held out.")
     if (header.get("start") or {}).get("hash") != (run.start or {}).get("hash"):
         raise TrainingError(f"{path}: the run began with other weights. Resume it with the same model to start from.")
     run.model.load_state_dict({k[6:]: v for k, v in tensors.items() if k.startswith("model.")})

@@ -11,6 +11,7 @@ __all__ = ["FOR_USE", "PRESETS", "Architecture", "PairConfig", "TrainingConfig"]
 Activation = Literal["relu", "silu"]
 Input = Literal["on_surface", "decimated"]
 Loss = Literal["squared", "distance", "surface"]
+Precision = Literal["32-true", "32", "bf16-mixed", "16-mixed"]
 Schedule = Literal["constant", "cosine"]
 Weighting = Literal["vertices", "areas"]
 Bound = tuple[float, float] | tuple[float, float, float]  # in shortest edges, heights[, smallest altitudes]
@@ -81,7 +82,7 @@ class TrainingConfig:
     normals: float = 0.0  # weight of the error of the faces' normals in the loss, beside that of positions: smoothness
     seed: int = 0
     device: str = "auto"
-    precision: str = "32-true"  # as Lightning Fabric names it
+    precision: Precision = "32-true"  # as Lightning Fabric names it: pairs are in single precision
     threads: int = 0  # of the CPU; 0 leaves them as they are
     checkpoint_every: int = 5  # epochs
 
@@ -95,7 +96,8 @@ class TrainingConfig:
         for name in ("settle", "crisp", "unturned"):
             if getattr(self.network, name):
                 raise ValueError(f"network.{name} = {getattr(self.network, name)}: give the training's own, for use.")
-        for name, kind in (("schedule", Schedule), ("input", Input), ("loss", Loss), ("weighting", Weighting)):
+        for name, kind in (("schedule", Schedule), ("input", Input), ("loss", Loss), ("weighting", Weighting),
+                           ("precision", Precision)):
             check_known(name, getattr(self, name), kind)
         for name in ("seed", "threads"):
             if getattr(self, name) < 0:

@@ -36,7 +36,8 @@ def uncrossed(mesh: Mesh, levels: list[Mesh]) -> list[Mesh]:
     """Levels 0 .. L of a mesh's refinement, with no faces crossing and no triangle turned over (away from the mesh's
     face that it comes from) that is not in the midpoint refinement of the level before; at level 0, in the mesh itself.
 
-    The vertices go back there by halves (`bounds.moved_back`), points of creases too.
+    The vertices go back there by halves (`bounds.moved_back`), points of creases too.  Where midpoints cross, what goes
+    back may cross more than it did: such a level keeps its turned triangles, or if need be all that it was.
     """
     normals = area_normals(torch.tensor(mesh.faces), torch.tensor(mesh.vertices))
     results, safe = [], mesh.vertices
@@ -48,6 +49,8 @@ def uncrossed(mesh: Mesh, levels: list[Mesh]) -> list[Mesh]:
 
 
 def _uncrossed_level(faces: ndarray, normals: Tensor, safe: ndarray, wanted: ndarray) -> ndarray:
+    counts: list[int] = []  # of crossing pairs, step by step
+
     def keys(vertices: ndarray) -> ndarray:
         return crossing_pairs(vertices, faces) @ [len(faces), 1]
 
@@ -57,6 +60,7 @@ def _uncrossed_level(faces: ndarray, normals: Tensor, safe: ndarray, wanted: nda
 
     def crossing(positions: Tensor) -> Tensor:
         found = keys(positions.numpy())
+        counts.append(len(found))
         new = np.setdiff1d(found, before()) if len(found) else found
         return torch.as_tensor(faces[np.stack(np.divmod(new, len(faces)))].reshape(-1))
 
@@ -65,4 +69,9 @@ def _uncrossed_level(faces: ndarray, normals: Tensor, safe: ndarray, wanted: nda
     def wrong(positions: Tensor) -> Tensor:
         return torch.cat([crossing(positions), turned(positions)]).unique()
 
-    return moved_back(torch.tensor(safe), torch.tensor(wanted), wrong).numpy()
+    for what in (wrong, crossing):
+        result = moved_back(torch.tensor(safe), torch.tensor(wanted), what).numpy()
+        if counts[-1] <= counts[0]:
+            return result
+        counts = counts[:1]
+    return wanted

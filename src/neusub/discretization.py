@@ -280,6 +280,8 @@ class PairStream(IterableDataset):
     def __init__(self, sources: Sequence[Mesh | str | Path], config: PairConfig | None = None, *,
                  workers: int | None = None, ahead: int = 8):
         super().__init__()
+        if ahead < 1:
+            raise ValueError(f"ahead = {ahead}: keep at least one pair ready.")
         meshes = [source if isinstance(source, Mesh) else load(source) for source in sources]
         if not meshes:
             raise PairFileError("there are no sources. Give at least one fine mesh.")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 from contextlib import closing, contextmanager
 from io import BytesIO
+from math import ceil, log
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -22,6 +23,7 @@ __all__ = ["render"]
 
 CLAY = "#dfe3ea"
 EDGE = "#4a5568"
+MEASURED_FACES = 20_000  # pieces of a mesh at least, whose distances are drawn
 CAMERA = (0.9, 0.45, 1.2)  # from where it looks, with y up: right, above, in front
 
 
@@ -41,11 +43,12 @@ def render(
     """Draw meshes side by side, each seen from the same side; the path of the PNG.
 
     titles: a line below each.  smooth: smooth shading instead of flat.  wireframe: draw the edges.  reference: colour
-    by the distance to it, one colour bar for all, in the meshes' unit.  columns: panels in a row (all by default).
-    panel: width and height of a panel in pixels.  camera, up: direction to the eye and upwards.
+    by the distance to it, within the faces too, one colour bar for all, in the meshes' unit.  columns: panels in a row
+    (all by default).  panel: width and height of a panel in pixels.  camera, up: direction to the eye and upwards.
     The panels of a row frame the same box, that of the row's first mesh, so that shrinking shows; a mesh that lies
-    elsewhere has its own.  Raises MeshFileError where the file cannot be written or a texture not read; ValueError for
-    no meshes, titles of another number, or a camera along `up`.
+    elsewhere, or is more than twice as large, has its own.
+    Raises MeshFileError where the file cannot be written or a texture not read; ValueError for no meshes, titles of
+    another number, or a camera along `up`.
     """
     meshes = [meshes] if isinstance(meshes, Mesh) else list(meshes)
     if not meshes or (titles is not None and len(titles) != len(meshes)):
@@ -58,7 +61,9 @@ def render(
     rows = -(-len(meshes) // columns)
     bar_height = 70 if reference is not None else 0
     errors = [None if reference is None else _errors(mesh, reference) for mesh in meshes]
-    top = max((float(np.percentile(error, 99)) for error in errors if error is not None), default=0.0)
+    top = max((float(np.percentile(error, 99)) for _, error in filter(None, errors)), default=0.0)
+    if reference is not None:  # rounding has no colour
+        top = max(top, 1e-9 * float(np.linalg.norm(np.ptp(reference.vertices, axis=0))))
     with replacing(path) as new:
         with off_screen(panel[0] * columns, panel[1] * rows, shape=(rows, columns), border=False) as plotter:
             for k, (mesh, error) in enumerate(zip(meshes, errors)):
@@ -67,7 +72,7 @@ def render(
                 if titles is not None:
                     plotter.add_text(titles[k], position="lower_edge", font_size=9, color="black")
                 first = meshes[k - k % columns]
-                aim_camera(plotter, first if _overlap(first, mesh) else mesh, camera, up, panel)
+                aim_camera(plotter, first if _share_a_frame(first, mesh) else mesh, camera, up, panel)
             picture = plotter.screenshot(return_img=True)
         _write_png(np.asarray(picture), new, top, bar_height)
     return Path(path)
@@ -88,19 +93,24 @@ def off_screen(width: int, height: int, **options: Any) -> Iterator[pyvista.Plot
         vtkLogger.SetStderrVerbosity(verbosity)
 
 
-def _errors(mesh: Mesh, reference: Mesh) -> np.ndarray:
+def _errors(mesh: Mesh, reference: Mesh) -> tuple[Mesh, np.ndarray]:
+    """The mesh with points within its faces, and each point's distance: vertices may lie on the reference alone."""
     from neusub.metrics import point_distance
+    from neusub.schemes import subdivide_classic
 
-    return point_distance(mesh.vertices, reference)[0]
-
-
-def _overlap(a: Mesh, b: Mesh) -> bool:
-    """Whether the boxes meet; a mesh elsewhere is framed by itself."""
-    return bool(((a.vertices.min(axis=0) <= b.vertices.max(axis=0))
-                 & (b.vertices.min(axis=0) <= a.vertices.max(axis=0))).all())
+    levels = max(0, ceil(log(MEASURED_FACES / len(mesh.faces), 4)))
+    fine = subdivide_classic(mesh, "midpoint", levels)[-1]
+    return fine, point_distance(fine.vertices, reference)[0]
 
 
-def _draw(plotter: pyvista.Plotter, mesh: Mesh, error: np.ndarray | None, top: float, smooth: bool,
+def _share_a_frame(first: Mesh, mesh: Mesh) -> bool:
+    """Whether the boxes meet and are of like size; a mesh elsewhere, or a giant, is framed by itself."""
+    low, high = mesh.vertices.min(axis=0), mesh.vertices.max(axis=0)
+    meet = (first.vertices.min(axis=0) <= high) & (low <= first.vertices.max(axis=0))
+    return bool(meet.all() and np.linalg.norm(high - low) <= 2 * np.linalg.norm(np.ptp(first.vertices, axis=0)))
+
+
+def _draw(plotter: pyvista.Plotter, mesh: Mesh, error: tuple[Mesh, np.ndarray] | None, top: float, smooth: bool,
           wireframe: bool) -> None:
     """Add one mesh to the current panel."""
     import pyvista
@@ -108,8 +118,12 @@ def _draw(plotter: pyvista.Plotter, mesh: Mesh, error: np.ndarray | None, top: f
     look: dict[str, Any] = {"smooth_shading": smooth, "show_edges": wireframe, "edge_color": EDGE, "line_width": 1,
                             "ambient": 0.25, "diffuse": 0.75, "specular": 0.1, "show_scalar_bar": False}
     if error is not None:
-        plotter.add_mesh(pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces), scalars=error, cmap="viridis",
-                         clim=(0, top or 1), **look)
+        fine, distances = error
+        plotter.add_mesh(pyvista.PolyData.from_regular_faces(fine.vertices, fine.faces), scalars=distances,
+                         cmap="viridis", clim=(0, top or 1), **{**look, "show_edges": False})
+        if wireframe:
+            plotter.add_mesh(pyvista.PolyData.from_regular_faces(mesh.vertices, mesh.faces), style="wireframe",
+                             color=EDGE, line_width=1, lighting=False)
     else:
         _draw_materials(plotter, mesh, look)
     plotter.set_background("white")  # type: ignore[arg-type]
@@ -180,7 +194,7 @@ def aim_camera(plotter: pyvista.Plotter, mesh: Mesh, camera: tuple, up: tuple, p
     depth = distance - offset @ direction
     half = max((np.abs(offset @ above) / depth).max(), (np.abs(offset @ right) / depth).max() * panel[1] / panel[0])
     plotter.camera.view_angle = float(np.degrees(2 * np.arctan(1.2 * half)))
-    plotter.camera.clipping_range = (distance - 2 * radius, distance + 2 * radius)
+    plotter.camera.clipping_range = (0.01 * distance, 3 * distance)  # a mesh twice as large may come close
 
 
 def _write_png(picture: np.ndarray, path: Path, top: float, bar_height: int) -> None:

@@ -37,6 +37,7 @@ __all__ = ["Subdivider", "model_names", "subdivide"]
 FORMAT = "neusub-model-1"
 DEFAULT_MODEL = "default"
 THIN = 1e-6  # an altitude, of the largest coordinate
+THIN_PART = 1e-3  # a thickness, of the length
 Scheme = Literal["neural", "loop", "butterfly", "midpoint"]
 Scale = Literal["edge", "box", "none"]
 
@@ -156,7 +157,8 @@ class Subdivider:
         for topology in topologies:
             components.append(np.concatenate([components[-1], components[-1][topology.edges[:, 0]]]))
         network = self.network
-        if has_thin_faces((vertices - centre[component]) * factor[component, None], topologies[0].faces):
+        normalised = (vertices - centre[component]) * factor[component, None]
+        if has_thin_faces(normalised, topologies[0].faces) or has_thin_parts(normalised, component):
             network = copy.deepcopy(network).double()
         weight = next(network.parameters())
 
@@ -233,6 +235,16 @@ def has_thin_faces(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF
     doubled = np.linalg.norm(np.cross(b - a, c - a), axis=1)
     longest = np.sqrt(np.max([((p - q) ** 2).sum(axis=1) for p, q in ((a, b), (b, c), (c, a))], axis=0))
     return bool(((doubled > 0) & (doubled < THIN * np.abs(vertices).max() * longest)).any())
+
+
+def has_thin_parts(vertices: Float64[ndarray, "nV 3"], component: Int64[ndarray, " nV"]) -> bool:
+    """Whether single precision would be seen in the thickness of some component: of a plate, a thousandth of its size.
+
+    Planes have none.  vertices: of each component around its centre.
+    """
+    products = [np.bincount(component, vertices[:, i] * vertices[:, j]) for i in range(3) for j in range(3)]
+    spread = np.sqrt(np.maximum(np.linalg.eigvalsh(np.stack(products, axis=1).reshape(-1, 3, 3)), 0))
+    return bool(((spread[:, 0] < THIN_PART * spread[:, 2]) & (spread[:, 0] > 1e-9 * spread[:, 2])).any())
 
 
 def check_card(card: dict[str, Any]) -> None:

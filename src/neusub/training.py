@@ -77,7 +77,8 @@ class Run:
             if isinstance(given, str) or not isinstance(given, Sequence):
                 raise PairFileError(f"pairs are given as a {type(given).__name__}. Give a list of pair files.")
         files = [*train_files, *validation_files]
-        data = [{**read_header(f), "file": Path(f).name, "hash": file_hash(f)} for f in files]
+        data = [{**read_header(f), "file": Path(f).name, "hash": file_hash(f), "held_out": k >= len(train_files)}
+                for k, f in enumerate(files)]
         pairs = read_pairs(train_files, config)
         if not pairs:
             raise PairFileError("no training pairs. Give the files that `neusub pairs` or `import-pairs` wrote.")
@@ -97,7 +98,11 @@ class Run:
                    origin_of(start) if start else None)
 
     def epoch(self, batches: _Batches, validation: list[Batch], each: Map) -> tuple[float, float]:
-        """One epoch; its training and its validation loss, which is the training loss where nothing is held out."""
+        """One epoch; its training and its validation loss, which is the training loss where nothing is held out.
+
+        The weights of the epoch with the least are kept; of the last one, where nothing is held out and some steps are
+        shallow, for then an epoch's loss says mostly how many were.
+        """
         began = time.perf_counter()
         set_rate(self.optimizer, self.config, self.state.epoch)
         training_loss = run_epoch(self.fabric, self.model, self.optimizer, batches, self.state.epoch, each,
@@ -110,7 +115,7 @@ class Run:
                                 f"a learning rate below {self.config.learning_rate}, or look for broken pairs.")
         self.state.epoch += 1
         self.state.seconds += time.perf_counter() - began
-        if loss < self.state.best_loss:
+        if loss < self.state.best_loss or (self.config.shallow and not validation):
             self.state.best_loss, self.state.best_epoch = loss, self.state.epoch
             self.best = copied(self.model.state_dict())
         return training_loss, loss
@@ -154,9 +159,10 @@ def train(
     TensorBoard events.
 
     start: the model whose weights the run begins with, in place of random ones (fine-tuning); its network is the
-    config's.  on_epoch is called with each row of the log.  Raises TrainingError for a folder that already holds a run
-    (unless resume), a checkpoint of another configuration, start or other data, a start of another network, or a loss
-    that is not finite; PairFileError.
+    config's, and its weights are the best ones, of epoch 0, until an epoch is better.  on_epoch is called with each row
+    of the log.
+    Raises TrainingError for a folder that already holds a run (unless resume), a checkpoint of another configuration,
+    start or other data, a start of another network, or a loss that is not finite; PairFileError.
     """
     config, out = config or PRESETS["paper"], Path(out)
     checkpoint = out / "checkpoint.safetensors"
@@ -173,6 +179,8 @@ def train(
     batches = _Batches(run.pairs, config, run.fabric.device, workers)
     validation = [batch_of([pair], config, run.fabric.device) for pair in read_pairs(validation_files, config)]
     make_recordable(validation)
+    if start and validation and not run.state.epoch:  # a run that only makes them worse gives back what it began with
+        run.state.best_loss = validate(run.model.module, validation, config)
     out.mkdir(parents=True, exist_ok=True)
     with TrainingLog(out, run.state.epoch) as log, in_threads(workers) as each:
         while run.state.epoch < config.epochs:
