@@ -200,11 +200,6 @@ def test_ply_joins_across_a_normal_seam_only(tmp_path):
         assert len(mesh.vertices) == expected
 
 
-def test_triangulating_is_reported(tmp_path):
-    mesh = load(_written(tmp_path, "a.obj", TRIANGLE + "v 1 1 0\nf 1 2 4 3\n"))
-    assert mesh.load_report == ("cut 1 polygons of more than three corners into triangles",)
-
-
 @pytest.mark.parametrize("n", [4, 5, 7])
 @pytest.mark.parametrize("turn", range(7))
 @pytest.mark.parametrize("axis", range(3))

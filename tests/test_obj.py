@@ -240,3 +240,8 @@ def test_every_way_to_write_an_obj_is_read(tmp_path, text, n_vertices, n_faces):
 def test_obj_vertex_colors_are_read(tmp_path):
     mesh = load(_written(tmp_path, "a.obj", "v 0 0 0 1 0 0\nv 1 0 0 0 1 0\nv 0 1 0 0 0 1\nf 1 2 3\n"))
     assert np.array_equal(mesh.colors, np.eye(3))
+
+
+def test_triangulating_is_reported(tmp_path):
+    mesh = load(_written(tmp_path, "a.obj", TRIANGLE + "v 1 1 0\nf 1 2 4 3\n"))
+    assert mesh.load_report == ("cut 1 polygons of more than three corners into triangles",)
