@@ -13,6 +13,7 @@ from neusub.selfparam import PLACE, REASONS, STRATEGIES, Criteria, decimate
 from neusub.selfparam import decimation as door
 from neusub.selfparam.collapse import PAUSED, offer_all, run
 from neusub.selfparam.surface import make_ring
+from patches import bipyramid
 from test_selfparam import facts, farthest, same
 
 # --- criteria ----------------------------------------------------------------------------------------------------
@@ -86,6 +87,14 @@ def test_inner_edges_between_boundary_vertices_never_collapse():
 
 
 # --- strategies --------------------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("shape, n_faces", [(bipyramid(100), 100), (shapes.grid(60, 2), 20)])
+def test_faces_that_stay_as_thin_as_they_were_do_not_stop_a_removal(shape, n_faces):
+    vertices, faces = shape
+    mesh = Mesh(vertices * [0.1, 1, 1], faces)  # thinner than the bound
+    assert triangle_quality(mesh.vertices, mesh.faces).min() < 0.2
+    assert decimate(mesh, n_faces=n_faces, strategy="removal").reached
 
 
 @pytest.mark.parametrize("name", SHAPES)

@@ -28,6 +28,7 @@ REASONS = (
 LEGAL, BOUNDARY, LINK, VALENCE, NORMAL, PLANE_BEFORE, PLANE_AFTER, QUALITY_SPACE, QUALITY_PLANE = range(len(REASONS))
 EQUILATERAL = 4 / 3**0.5  # squared edge over area
 SLIVER = 1e-8  # least area in the plane, over the squared edges: of less, points come back with few digits
+SAME = 1e-12  # a quality that changes by less is that of a face that stays as it was
 
 
 @dataclass(frozen=True)
@@ -37,8 +38,8 @@ class Criteria:
     min_normal_dot: a face's unit normals before and after must have a larger dot product (delta = 0.2), or larger than
     that of the sharpest fold of the ring before: what is folded already, like the inside of an eyelid, must be able to
     vanish (not in the paper).
-    min_quality: Q = 4 sqrt(3) A / (sum of the squared edges) of each face after must exceed this, or the worst of the
-    ring before, whichever is less; in space and in the plane.
+    min_quality: Q = 4 sqrt(3) A / (sum of the squared edges) of each face that changes must exceed this, or the worst of
+    the ring before, whichever is less; in space and in the plane.
     tiny: a ring that reaches no further than this times the mean edge of the mesh as it is then is exempt from the
     tests of normals and quality, and comes to lie in a circle where the conformal map would turn faces over (not in
     the paper).  Its faces are about to vanish: eyeballs behind lids that nearly close, for one, would stay whole.
@@ -127,7 +128,9 @@ def check_space(ring, m, split, gap, has_f1, criteria):
         nx, ny, nz, new_squared = normal_of(points, m + 2, t, s)
         before = quality(squared, np.sqrt(x * x + y * y + z * z))
         worst_before = min(worst_before, before)
-        worst_after = min(worst_after, quality(new_squared, np.sqrt(nx * nx + ny * ny + nz * nz)))
+        after = quality(new_squared, np.sqrt(nx * nx + ny * ny + nz * nz))
+        if abs(after - before) > SAME:
+            worst_after = min(worst_after, after)
         if before > 1e-12:  # a face without area has no normal that could flip
             turn = min(turn, dot_of_units(x, y, z, nx, ny, nz))
     if turn <= criteria[0] and turn <= sharpest_fold(ring, m, split, gap, has_f1):
@@ -193,8 +196,10 @@ def check_plane(ring, m, split, gap, has_f1, merged, tiny, criteria):
         is_turned, will_be_turned = not area > SLIVER * squared, not new_area > SLIVER * new_squared
         if tests_flips and (is_turned or will_be_turned) and (not merged or has_area(points, apex, t, s)):
             return PLANE_BEFORE if is_turned else PLANE_AFTER
-        worst_before = min(worst_before, quality(squared, area))
-        worst_after = min(worst_after, quality(new_squared, new_area))
+        before, after = quality(squared, area), quality(new_squared, new_area)
+        worst_before = min(worst_before, before)
+        if abs(after - before) > SAME:
+            worst_after = min(worst_after, after)
         if t < split:
             around_j += crosses_upward(uv, m, t, s)
         else:
