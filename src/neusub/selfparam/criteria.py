@@ -38,8 +38,8 @@ class Criteria:
     min_normal_dot: a face's unit normals before and after must have a larger dot product (delta = 0.2), or larger than
     that of the sharpest fold of the ring before: what is folded already, like the inside of an eyelid, must be able to
     vanish (not in the paper).
-    min_quality: Q = 4 sqrt(3) A / (sum of the squared edges) of each face that changes must exceed this, or the worst of
-    the ring before, whichever is less; in space and in the plane.
+    min_quality: Q = 4 sqrt(3) A / (sum of the squared edges) of each face that changes must exceed this, or the worst
+    of the ring before, whichever is less; in space and in the plane.
     tiny: a ring that reaches no further than this times the mean edge of the mesh as it is then is exempt from the
     tests of normals and quality, and comes to lie in a circle where the conformal map would turn faces over (not in
     the paper).  Its faces are about to vanish: eyeballs behind lids that nearly close, for one, would stay whole.
