@@ -36,8 +36,8 @@ def uncrossed(mesh: Mesh, levels: list[Mesh]) -> list[Mesh]:
     """Levels 0 .. L of a mesh's refinement, with no faces crossing and no triangle turned over (away from the mesh's
     face that it comes from) that is not in the midpoint refinement of the level before; at level 0, in the mesh itself.
 
-    The vertices go back there by halves (`bounds.moved_back`), points of creases too.  Where midpoints cross, what goes
-    back may cross more than it did: such a level keeps its turned triangles, or if need be all that it was.
+    The vertices go back there by halves (`bounds.moved_back`), points of creases too.  A level that crosses nowhere anew
+    keeps its turned triangles where to take them back would bring the crossings of midpoints.
     """
     normals = area_normals(torch.tensor(mesh.faces), torch.tensor(mesh.vertices))
     results, safe = [], mesh.vertices
@@ -49,7 +49,7 @@ def uncrossed(mesh: Mesh, levels: list[Mesh]) -> list[Mesh]:
 
 
 def _uncrossed_level(faces: ndarray, normals: Tensor, safe: ndarray, wanted: ndarray) -> ndarray:
-    counts: list[int] = []  # of crossing pairs, step by step
+    counts: list[tuple[int, int]] = []  # of crossing pairs, and of those that midpoints do not have, step by step
 
     def keys(vertices: ndarray) -> ndarray:
         return crossing_pairs(vertices, faces) @ [len(faces), 1]
@@ -60,8 +60,8 @@ def _uncrossed_level(faces: ndarray, normals: Tensor, safe: ndarray, wanted: nda
 
     def crossing(positions: Tensor) -> Tensor:
         found = keys(positions.numpy())
-        counts.append(len(found))
         new = np.setdiff1d(found, before()) if len(found) else found
+        counts.append((len(found), len(new)))
         return torch.as_tensor(faces[np.stack(np.divmod(new, len(faces)))].reshape(-1))
 
     turned = turned_corners(torch.tensor(faces), normals, torch.tensor(safe))
@@ -69,9 +69,6 @@ def _uncrossed_level(faces: ndarray, normals: Tensor, safe: ndarray, wanted: nda
     def wrong(positions: Tensor) -> Tensor:
         return torch.cat([crossing(positions), turned(positions)]).unique()
 
-    for what in (wrong, crossing):
-        result = moved_back(torch.tensor(safe), torch.tensor(wanted), what).numpy()
-        if counts[-1] <= counts[0]:
-            return result
-        counts = counts[:1]
-    return wanted
+    result = moved_back(torch.tensor(safe), torch.tensor(wanted), wrong).numpy()
+    (at_first, new_at_first), (at_last, _) = counts[0], counts[-1]
+    return wanted if new_at_first == 0 and at_last > at_first else result
