@@ -36,8 +36,8 @@ def uncrossed(mesh: Mesh, levels: list[Mesh]) -> list[Mesh]:
     """Levels 0 .. L of a mesh's refinement, with no faces crossing and no triangle turned over (away from the mesh's
     face that it comes from) that is not in the midpoint refinement of the level before; at level 0, in the mesh itself.
 
-    The vertices go back there by halves (`bounds.moved_back`), points of creases too.  A level that crosses nowhere anew
-    keeps its turned triangles where to take them back would bring the crossings of midpoints.
+    The vertices go back there by halves (`bounds.moved_back`), points of creases too.  A level that crosses nowhere
+    anew keeps its turned triangles where to take them back would bring the crossings of midpoints.
     """
     normals = area_normals(torch.tensor(mesh.faces), torch.tensor(mesh.vertices))
     results, safe = [], mesh.vertices
