@@ -222,3 +222,5 @@ def test_a_colour_out_of_range_is_named(value):
     colors[3, 1] = value
     with pytest.raises(errors.IndexRangeError, match=r"color of vertex 3 .* integers from 0 to 255"):
         Mesh(vertices, faces, colors=colors)
+    colors[3, 1] = np.clip(value, 0, 1) + 1e-9 * np.sign(value)  # rounding
+    assert Mesh(vertices, faces, colors=colors).colors[3, 1] == np.clip(value, 0, 1)

@@ -189,12 +189,12 @@ def checked_colors(colors: Any, n_vertices: int) -> Float64[ndarray, "nV C"] | N
     if not np.isfinite(array).all():
         raise NonFiniteError("colors has a value that is not finite. Give values in [0, 1].")
     array = array / 255.0 if is_integer else array
-    bad = ((array < 0) | (array > 1)).any(axis=1)
+    bad = ((array < -1e-6) | (array > 1 + 1e-6)).any(axis=1)  # rounding is forgiven
     if bad.any():
         v = int(np.argmax(bad))
         raise IndexRangeError(f"the color of vertex {v} is {listed_row(np.asarray(colors)[v])}"
                               f"{more_of(bad.sum(), 'vertex')}. Give values in [0, 1], or integers from 0 to 255.")
-    return array
+    return array.clip(0, 1)
 
 
 def checked_face_data(face_data: Mapping[str, Any] | None, n_faces: int, n_materials: int) -> dict[str, ndarray]:
