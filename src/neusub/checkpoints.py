@@ -66,7 +66,7 @@ def load_checkpoint(path: Path, run: Run) -> None:
         if was != now and field.name not in free:
             raise TrainingError(f"{path}: the run has {field.name} = {was!r}, not {now!r}. Resume it with its own "
                                 "options, or choose another folder.")
-    for was, now in zip_longest(header["data"], run.data, fillvalue={}):  # before they said so, none was known
+    for was, now in zip_longest(header["data"], run.data, fillvalue={}):  # older ones do not say what was held out
         if (was.get("hash"), was.get("held_out", now.get("held_out"))) != (now.get("hash"), now.get("held_out")):
             raise TrainingError(f"{path}: the run was begun on other pair files. Resume it with those, and the same "
                                 "ones held out.")

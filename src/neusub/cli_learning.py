@@ -144,16 +144,7 @@ def train_command(
              "device": device, "threads": threads}
 
     def work(_: Path) -> list[str]:
-        from neusub.generation import pair_files
-
-        training, held_out = [], []
-        for path in pairs:
-            files = pair_files(path) if path.is_dir() else ([path], [])
-            training += files[0]
-            held_out += [] if validation else files[1]
-        for path in validation:
-            files = pair_files(path) if path.is_dir() else ([], [path])
-            held_out += files[1] or files[0]
+        training, held_out = chosen_files(pairs, validation)
         config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
         result = train_with_progress(training, held_out, out, config, start, resume)
         return [f"best validation loss {result.best_loss:.6e} in epoch {result.best_epoch} of {result.epochs}, "
@@ -171,6 +162,21 @@ def models_command() -> int:
         card = Subdivider.load(name, device="cpu").card
         say(f"{name}: {card.get('description', '')} [input: {card['input']}; licence: {card.get('licence', '')}]")
     return 0
+
+
+def chosen_files(pairs: tuple[Path, ...], validation: tuple[Path, ...]) -> tuple[list[Path], list[Path]]:
+    """Files to learn from, and those held out: of the folders of `pairs`, or else of `validation`."""
+    from neusub.generation import pair_files
+
+    training, held_out = [], []
+    for path in pairs:
+        files = pair_files(path) if path.is_dir() else ([path], [])
+        training += files[0]
+        held_out += [] if validation else files[1]
+    for path in validation:
+        files = pair_files(path) if path.is_dir() else ([], [path])
+        held_out += files[1] or files[0]
+    return training, held_out
 
 
 def train_with_progress(training: list, held_out: list, out: Path, config: TrainingConfig, start: str | None,

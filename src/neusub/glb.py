@@ -12,7 +12,7 @@ from numpy import ndarray
 
 from neusub.errors import MeshFileError
 from neusub.mesh import Material
-from neusub.raw import RawMesh, join_copies, split_at_seams, weld
+from neusub.raw import RawMesh, base_picture, face_materials, join_copies, split_at_seams, weld
 
 if TYPE_CHECKING:
     from neusub.mesh import Mesh
@@ -170,9 +170,7 @@ def write_glb(mesh: Mesh, name: str) -> dict[str, bytes]:
     from trimesh.visual import ColorVisuals, TextureVisuals
 
     index, faces, uv = split_at_seams(mesh)
-    material = mesh.face_data.get("material")
-    if material is None or not mesh.materials:
-        material = np.full(len(faces), 0 if mesh.materials else -1)
+    material = face_materials(mesh)
     scene = trimesh.Scene()
     for k in np.unique(material):
         part = faces[material == k]
@@ -206,9 +204,9 @@ def _pbr(material: Material) -> Any:
     if material.color is not None:
         values["baseColorFactor"] = np.array(material.color)
         values["alphaMode"] = "BLEND" if material.color[3] < 1 else None
-    for role, _, content in material.textures:
-        if role.split()[0] == "map_Kd":
-            values["baseColorTexture"] = Image.open(io.BytesIO(content))
+    picture = base_picture(material)
+    if picture:
+        values["baseColorTexture"] = Image.open(io.BytesIO(picture[1]))
     for line in material.extra:
         key, _, value = line.partition(" ")
         if key in ("Pm", "Pr"):

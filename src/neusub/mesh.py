@@ -206,5 +206,3 @@ def checked_face_data(face_data: Mapping[str, Any] | None, n_faces: int, n_mater
     if n_materials and material is not None and (material.min() < -1 or material.max() >= n_materials):
         raise IndexRangeError(f"face_data['material'] goes to {material.max()}, but there are {n_materials} materials.")
     return checked
-
-

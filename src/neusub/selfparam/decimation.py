@@ -15,8 +15,7 @@ from neusub.mesh import Mesh, check_is_mesh
 from neusub.selfparam.appearance import attribute_quadrics, seam_holds
 from neusub.selfparam.collapse import DONE, FULL, PAUSED, Work, collapse_null_edges, first_null_edge, offer_all, run
 from neusub.selfparam.criteria import REASONS, Criteria
-from neusub.selfparam.flatten import LARGEST as RING
-from neusub.selfparam.flatten import make_solver
+from neusub.selfparam.flatten import LARGEST_RING, make_solver
 from neusub.selfparam.locality import LARGE, Order, file_order, local_order, reordered
 from neusub.selfparam.mapping import finished, grown, make_charts
 from neusub.selfparam.parameterization import SelfParameterization
@@ -134,7 +133,7 @@ def prepare(mesh: Mesh, plan: Strategy, targets: tuple[int, int], seed: int, cri
         order = local_order(positions, surface.faces[:, :3])
         surface = reordered(surface, order)
         quadrics, gradients = quadrics[order.vertices], gradients[order.vertices]
-    capacity = min(2 * int(topology.valence.max()) + 64, RING)
+    capacity = min(2 * int(topology.valence.max()) + 64, LARGEST_RING)
     collapses = expected_collapses(mesh, targets)
     work = Work(
         surface=surface,

@@ -29,7 +29,7 @@ __all__ = ["THINNEST", "Solver", "flatten_after", "flatten_before", "flatten_rin
 
 ITERATIONS = 3
 THINNEST = 1e-4  # quality in the plane: a spike's small angles give z^a a large a, and radii that differ by 1e20
-LARGEST = 2**13  # vertices of a ring: its systems take three gigabytes; decimation refuses larger ones
+LARGEST_RING = 2**13  # vertices of a ring: its systems take three gigabytes; decimation refuses larger ones
 SHIFT = 1e-10  # of the largest diagonal entry: makes the energy definite where the ring is flat
 
 
