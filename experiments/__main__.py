@@ -2,35 +2,38 @@
 
 from __future__ import annotations
 
+import ast
 import importlib
-import pkgutil
 import sys
+from pathlib import Path
 
-import experiments
+
+def experiments() -> dict[str, ast.Module]:
+    """The modules that have a `main`, which is what an experiment is; read, not imported, as that takes seconds."""
+    modules = {path.stem: ast.parse(path.read_text()) for path in sorted(Path(__file__).parent.glob("[!_]*.py"))}
+    return {name: module for name, module in modules.items()
+            if any(isinstance(node, ast.FunctionDef) and node.name == "main" for node in module.body)}
 
 
-def names() -> list[str]:
-    """The modules that have a `main`, which is what an experiment is."""
-    found = []
-    for module in pkgutil.iter_modules(experiments.__path__):
-        if not module.name.startswith("_") and hasattr(importlib.import_module(f"experiments.{module.name}"), "main"):
-            found.append(module.name)
-    return found
+def summary(module: ast.Module) -> str:
+    """The first paragraph of a module's docstring, and the labels of the paper's source that it answers to."""
+    words = " ".join((ast.get_docstring(module) or "").split("\n\n")[0].split())
+    labels = [ast.literal_eval(node.value) for node in module.body if isinstance(node, ast.Assign)
+              and isinstance(node.targets[0], ast.Name) and node.targets[0].id == "SHOWS"]
+    return words + "".join(f"  [{', '.join(shows)}]" for shows in labels)
 
 
 def main() -> int:
-    arguments = sys.argv[1:] or ["list"]
-    if arguments[0] == "list":
-        for name in names():
-            module = importlib.import_module(f"experiments.{name}")
-            shows = ", ".join(getattr(module, "SHOWS", ()))
-            print(f"{name:20s}{(module.__doc__ or '').splitlines()[0]}{f'  [{shows}]' if shows else ''}")
+    known, (name, *rest) = experiments(), sys.argv[1:] or ["list"]
+    if name == "list":
+        for key, module in known.items():
+            print(f"{key:20s}{summary(module)}")
         return 0
-    if arguments[0] not in names():
-        print(f"{arguments[0]}: no experiment of this name. There are {', '.join(names())}.", file=sys.stderr)
+    if name not in known:
+        print(f"{name}: no experiment of this name. There are {', '.join(known)}.", file=sys.stderr)
         return 2
-    sys.argv = [f"python -m experiments {arguments[0]}", *arguments[1:]]
-    importlib.import_module(f"experiments.{arguments[0]}").main()
+    sys.argv = [f"python -m experiments {name}", *rest]
+    importlib.import_module(f"experiments.{name}").main()
     return 0
 
 

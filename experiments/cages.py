@@ -17,10 +17,9 @@ from pathlib import Path
 import numpy as np
 
 import neusub
-from experiments.common import SCHEMES, parser_of, provenance, refined, write_results
-from experiments.gallery_pictures import BLUE, GREY, shaded
-from experiments.parameterization_pictures import titled, write
-from experiments.robustness import turned
+from experiments.common import parser_of, provenance, write_results
+from experiments.drawing import BLUE, GREY, blank, shaded, titled, write_panels
+from experiments.measures import SCHEMES, is_turned, refined
 from neusub.crossing import crossing_pairs, uncrossed
 
 LEVELS = 2
@@ -45,8 +44,7 @@ def numbers_of(cage: neusub.Mesh, method: str, allowed: set[tuple[int, int]]) ->
     levels = refined(cage, method.removesuffix(UNCROSS), LEVELS)
     if method.endswith(UNCROSS):
         levels = uncrossed(cage, levels)
-    share = turned([cage, *levels[1:]])[-1]
-    return {"turned": round(share / 100 * len(levels[-1].faces)),
+    return {"turned": int(is_turned(levels[-1], cage).sum()),
             "crossing": len(crossing(levels[-1], len(cage.faces)) - allowed)}
 
 
@@ -62,21 +60,23 @@ def draw(meshes: dict[str, neusub.Mesh]) -> Path:
         fine = uncrossed(bare, refined(bare, "default", LEVELS))[-1]
         pair = [shaded(bare, GREY, PANEL, edges=True), shaded(fine, BLUE, PANEL, frame=bare)]
         panels.append(titled(np.concatenate(pair, axis=1), name))
-    blank = np.full_like(panels[0], 255)
-    panels += [blank] * (-len(panels) % COLUMNS)
-    return write("cages", [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
+    panels += [blank(panels[0].shape[1::-1])] * (-len(panels) % COLUMNS)
+    return write_panels("cages", [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 
 
 def main() -> None:
-    parser = parser_of("experiments cages", __doc__)
+    parser = parser_of("experiments cages", __doc__, "three cages")
     parser.add_argument("meshes", type=Path)
     options = parser.parse_args()
     meshes = cages(options.meshes)
+    if options.quick:
+        meshes = dict(list(meshes.items())[:3])
     rows = {name: rows_of(mesh) for name, mesh in meshes.items()}
     for name, row in rows.items():
         print(f"{name:28s}", *(f"{method} {n['turned']}/{n['crossing']}" for method, n in row.items()))
-    print(draw(meshes))
-    write_results("cages", {**provenance(options), "levels": LEVELS, "cages": rows})
+    if not options.quick:
+        print(draw(meshes))
+    write_results("cages", {**provenance(options), "levels": LEVELS, "cages": rows}, options)
 
 
 if __name__ == "__main__":

@@ -1,4 +1,4 @@
-"""What the experiments share: their options, where their numbers come from, scores against a reference."""
+"""What the experiments share: their options, where their numbers come from and where they go, TOSCA."""
 
 from __future__ import annotations
 
@@ -7,96 +7,105 @@ import json
 import platform
 import subprocess
 import sys
-from collections.abc import Iterable
+from collections.abc import Sequence
 from functools import cache
-from io import BytesIO
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 import torch
-from PIL import Image
 
 import neusub
 from neusub.files import replacing
 from neusub.training import TrainingResult
 
-if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
 HERE = Path(__file__).parent
 RESULTS = HERE / "results"
-PICTURES = HERE.parent / "docs" / "reproduction"
 TOSCA = "TOSCA: Bronstein, Bronstein, Kimmel 2008, Numerical Geometry of Non-Rigid Shapes"
 
 
-def parser_of(module: str, doc: str | None) -> argparse.ArgumentParser:
-    """The options that every experiment with a training has."""
+# --- options -----------------------------------------------------------------------------------------------------
+
+
+def parser_of(module: str, doc: str | None, quick: str) -> argparse.ArgumentParser:
+    """The options that every experiment has; `quick` says what --quick leaves out."""
+    commit()  # of the code as it is read now, not of what is there when a long run ends
     parser = argparse.ArgumentParser(prog=f"python -m {module}", description=doc,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="pairs and trainings; both go on after a stop")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--threads", type=int, default=1)
+    parser.add_argument("--quick", action="store_true", help=f"{quick}; nothing is written but runs")
     return parser
 
 
-def checked_out() -> str:
-    """The commit, and whether tracked files differ from it."""
+def seeded(name: str, options: argparse.Namespace) -> str:
+    """The name of a folder or of results: every seed has its own."""
+    return f"{name}-seed{options.seed}" if options.seed else name
+
+
+# --- results -----------------------------------------------------------------------------------------------------
+
+
+@cache
+def commit() -> str:
+    """The commit, and whether the code differs from it; what experiments write does not count."""
     def git(*words: str) -> str:
-        return subprocess.run(["git", *words], capture_output=True, text=True, check=True, cwd=HERE).stdout.strip()
+        return subprocess.run(["git", *words], capture_output=True, text=True, check=True, cwd=HERE.parent).stdout
 
-    return git("rev-parse", "HEAD") + (" with changes" if git("status", "--porcelain", "-uno") else "")
+    try:
+        changes = git("status", "--porcelain", "-uno", "--", "src", "experiments", ":!experiments/results")
+        return git("rev-parse", "HEAD").strip() + (" with changes" if changes else "")
+    except (OSError, subprocess.CalledProcessError):
+        return "unknown"
 
 
-COMMIT = checked_out()  # of the code as it was read, not of what is there when a long run ends
+def processor() -> str:
+    """The processor's model, where Linux tells it."""
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        return next(line.split(":")[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        return platform.processor() or platform.machine()
 
 
 def provenance(options: argparse.Namespace) -> dict:
     """Command, commit, machine and seed, as they stand in every result."""
     shown = [Path(word).name if "/" in word else word for word in sys.argv[1:]]  # no path of a machine
-    return {"command": " ".join([sys.argv[0], *shown]), "commit": COMMIT,
-            "machine": f"{platform.machine()}, {torch.get_num_threads()} thread(s), torch {torch.__version__}",
-            "seed": getattr(options, "seed", 0)}
+    return {"command": " ".join([sys.argv[0], *shown]), "commit": commit(),
+            "machine": f"{processor()}, {torch.get_num_threads()} thread(s), torch {torch.__version__}",
+            "seed": options.seed}
 
 
-def write_results(name: str, numbers: dict) -> Path:
+def write_results(name: str, numbers: dict, options: argparse.Namespace) -> None:
+    """The whole of results/NAME.json; with --quick nothing."""
+    if not options.quick:
+        replace_results(seeded(name, options), numbers)
+
+
+def add_result(name: str, keys: Sequence[str], part: dict, options: argparse.Namespace) -> None:
+    """A part of results/NAME.json at these keys; what other runs have added meanwhile stays.  With --quick nothing."""
+    if options.quick:
+        return
+    numbers = here = read_results(name)
+    for key in keys[:-1]:
+        here = here.setdefault(key, {})
+    here[keys[-1] + (f", seed {options.seed}" if options.seed else "")] = part
+    replace_results(name, numbers)
+
+
+def read_results(name: str) -> dict:
     path = RESULTS / f"{name}.json"
-    path.write_text(json.dumps(numbers, indent=2) + "\n")
-    print(f"{path}")
-    return path
+    return json.loads(path.read_text()) if path.exists() else {}
 
 
-def write_picture(name: str, image: Image.Image, folder: Path = PICTURES, lossless: bool = False) -> Path:
-    """Of the documentation, as WebP: half of the bytes of a PNG in few colours."""
-    path = folder / f"{name}.webp"
-    path.parent.mkdir(parents=True, exist_ok=True)
+def replace_results(name: str, numbers: dict) -> None:
+    path = RESULTS / f"{name}.json"
     with replacing(path) as new:
-        image.convert("RGB").save(new, quality=90, method=6, lossless=lossless)
-    return path
+        new.write_text(json.dumps(numbers, indent=2) + "\n")
+    print(path)
 
 
-def write_chart(name: str, figure: Figure) -> Path:
-    """Lines on a plain ground are smaller without losses."""
-    file = BytesIO()
-    figure.savefig(file, format="png")
-    return write_picture(name, Image.open(file), lossless=True)
-
-
-SCHEMES = ("midpoint", "loop", "butterfly")
-
-
-@cache
-def loaded(model: str) -> neusub.Subdivider:
-    return neusub.Subdivider.load(model)
-
-
-def refined(mesh: neusub.Mesh, method: str, levels: int, kind: str = "on_surface") -> list[neusub.Mesh]:
-    """Levels of a scheme or of a shipped model, which is told the kind of input where its card names weights for it."""
-    if method in SCHEMES:
-        return neusub.subdivide(mesh, method, levels)  # type: ignore[arg-type]
-    model = loaded(method)
-    given = kind if kind in model.card.get("companions", {}) else None
-    return model.subdivide(mesh, levels, input=given)  # type: ignore[arg-type]
+# --- trainings ---------------------------------------------------------------------------------------------------
 
 
 def training_scores(result: TrainingResult) -> dict:
@@ -136,14 +145,3 @@ def fixed_inputs(file: Path, kind: str) -> dict[str, neusub.Mesh]:
 
 def fixed_reference(folder: Path, category: str) -> neusub.Mesh:
     return tosca_poses(folder, category)[1 if category == "gorilla" else 0]
-
-
-def score(result: neusub.Mesh, reference: neusub.Mesh, seeds: Iterable[int] = range(1)) -> tuple[float, float]:
-    """H and M in the reference's units, means over sampling seeds."""
-    draws = [neusub.distance(result, reference, seed=seed) for seed in seeds]
-    return float(np.mean([d.hausdorff for d in draws])), float(np.mean([d.mean for d in draws]))
-
-
-def volume(mesh: neusub.Mesh) -> float:
-    a, b, c = mesh.vertices[mesh.faces].transpose(1, 0, 2)
-    return float((a * np.cross(b, c)).sum() / 6)

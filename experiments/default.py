@@ -109,7 +109,7 @@ def without_files(training: dict) -> dict:
 
 
 def main() -> None:
-    parser = parser_of("experiments default", __doc__)
+    parser = parser_of("experiments default", __doc__, "two shapes, an epoch each; not shipped")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--input", choices=tuple(NAMES), default="on_surface")
     parser.add_argument("--epochs", type=int, default=PRESETS["default"].epochs)
@@ -118,7 +118,12 @@ def main() -> None:
     parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
     options = parser.parse_args()
     recipe = json.loads((HERE / "recipes" / "default.json").read_text())
-    pairs = options.runs / "default-pairs"
+    pairs = options.runs / f"default-pairs{'-quick' * options.quick}"
+    smoothing = SMOOTHING
+    if options.quick:
+        recipe |= {"sources": recipe["sources"][:2], "copies": 1, "solids": 1}
+        options.epochs, options.cycles, options.ship = 1, 1, False
+        smoothing = SMOOTHING | {"epochs": 1}
     training, validation = pair_files(recipe, options.meshes, pairs)
     even = []
     if options.input == "on_surface":
@@ -126,15 +131,14 @@ def main() -> None:
         even = closed_form_files(recipe["even_grids"], pairs, "even", even_pairs)
     config = replace(PRESETS[NAMES[options.input]], epochs=options.epochs, cycles=options.cycles,
                      seed=options.seed, threads=options.threads)
-    folder = options.runs / f"default-{options.input}-{options.seed}"
+    folder = options.runs / f"default-{options.input}-{options.seed}{'-quick' * options.quick}"
     start = neusub.Subdivider.load(options.start, device="cpu") if options.start else train(
         training, validation, folder, config, resume=True, on_epoch=show).model
     result = train([*training, *even], validation, folder.with_name(f"{folder.name}-smooth"),
-                   replace(config, **SMOOTHING), start=start, resume=True, on_epoch=show)
+                   replace(config, **smoothing), start=start, resume=True, on_epoch=show)
     origin = provenance(options)
-    seed = f"-seed{options.seed}" if options.seed else ""
-    name = f"{'smooth' if options.start else 'default'}-{options.input}{seed}"
-    write_results(name, {**origin, **training_scores(result), "start": start.card["scores"]})
+    name = f"{'smooth' if options.start else 'default'}-{options.input}"
+    write_results(name, {**origin, **training_scores(result), "start": start.card["scores"]}, options)
     if options.ship:
         result.model.card = card_of(result.model.card, recipe, options.input)
         ship(NAMES[options.input], origin["command"], DESCRIPTIONS[options.input], result)

@@ -10,40 +10,30 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
+from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, write_results
+from experiments.measures import KINDS, SCHEMES, mean_of, refined, score
 
-from experiments.common import (
-    SCHEMES,
-    TOSCA,
-    fixed_inputs,
-    fixed_reference,
-    parser_of,
-    provenance,
-    refined,
-    score,
-    write_results,
-)
-
-KINDS, SEEDS = ("on_surface", "decimated"), range(5)
+SHOWS = ("tab:quantitative",)
+SEEDS = range(5)
 MODELS = ("elephant", "bunny", "organic", "mechanical", "default")
 
 
 def main() -> None:
-    parser = parser_of("experiments fixed_inputs", __doc__)
+    parser = parser_of("experiments fixed_inputs", __doc__, "two shapes")
     parser.add_argument("tosca", type=Path)
     parser.add_argument("--inputs", type=Path, required=True)
     options = parser.parse_args()
     table: dict = {}
     for kind in KINDS:
-        meshes = fixed_inputs(options.inputs, kind)
+        meshes = dict(list(fixed_inputs(options.inputs, kind).items())[: 2 if options.quick else None])
         references = {name: fixed_reference(options.tosca, name) for name in meshes}
         for method in (*SCHEMES, *MODELS):
             shapes = {name: dict(zip("HM", score(refined(mesh, method, 2, kind)[-1], references[name], SEEDS)))
                       for name, mesh in meshes.items()}
-            means = {key: float(np.mean([row[key] for row in shapes.values()])) for key in "HM"}
+            means = mean_of(shapes)
             table.setdefault(kind, {})[method] = {**means, "shapes": shapes}
             print(f"{kind:12s}{method:12s}H {means['H']:.3f}  M {means['M']:.4f}", flush=True)
-    write_results("fixed_inputs", {"citation": TOSCA, **provenance(options), **table})
+    write_results("fixed_inputs", {"citation": TOSCA, **provenance(options), **table}, options)
 
 
 if __name__ == "__main__":

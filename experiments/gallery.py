@@ -10,7 +10,6 @@ Writes results/gallery.json and docs/reproduction/*.webp.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from functools import cache
 from pathlib import Path
@@ -19,16 +18,16 @@ import numpy as np
 from numpy import ndarray
 
 import neusub
-from experiments import common
-from experiments.common import SCHEMES, provenance, volume, write_results
-from experiments.smoothness import FOLD, angles
+from experiments import measures
+from experiments.common import parser_of, provenance, write_results
+from experiments.measures import FOLD, KINDS, SCHEMES, angles, mean_of, percents, remeshed, volume
 from neusub import Mesh, SelfParameterization
 from neusub.metrics import point_distance, sample_surface
 
 SHOWS = ("fig:teaser", "fig:allLevels", "fig:trainData", "fig:manyShapes", "fig:SSS", "fig:subdivScene",
          "fig:lim_semantic", "fig:texture", "fig:modeling")
 MODELS = ("elephant", "default")
-METHODS, KINDS = (*SCHEMES, *MODELS), ("on_surface", "decimated")
+METHODS = (*SCHEMES, *MODELS)
 COARSE, LEVELS = 350, 2
 FEWER = (75, 150, 350)
 ROCKER, CAT = "manmade/ns_rocker_arm.ply", "organic/oded_cat_low_resolution.ply"
@@ -50,13 +49,7 @@ def decimated(folder: Path, name: str, vertices: int = COARSE) -> SelfParameteri
 
 
 def refined(mesh: Mesh, method: str, levels: int = LEVELS, kind: str = "on_surface") -> Mesh:
-    return common.refined(mesh, method, levels, kind)[-1]
-
-
-def percents(result: Mesh, reference: Mesh) -> dict[str, float]:
-    """H and M in percent of the reference's diagonal."""
-    d = neusub.distance(result, reference)
-    return {"H": d.percent(d.hausdorff), "M": d.percent(d.mean)}
+    return measures.refined(mesh, method, levels, kind)[-1]
 
 
 def teaser(folder: Path, shapes: Sequence[str]) -> dict:
@@ -69,7 +62,7 @@ def teaser(folder: Path, shapes: Sequence[str]) -> dict:
                 pair = decimated(folder, name)
                 coarse = pair.on_surface if kind == "on_surface" else pair.coarse
                 scores[Path(name).stem] = percents(refined(coarse, method, kind=kind), pair.fine)
-            means = {key: float(np.mean([row[key] for row in scores.values()])) for key in ("H", "M")}
+            means = mean_of(scores)
             rows.setdefault(kind, {})[method] = {**means, "shapes": scores}
             print(f"{kind:12s}{method:12s}H {means['H']:.3f}  M {means['M']:.4f}", flush=True)
     return rows
@@ -81,7 +74,7 @@ def all_levels(folder: Path) -> dict:
     for name in (ROCKER, CAT):
         pair = decimated(folder, name)
         for method in MODELS:
-            levels = common.refined(pair.on_surface, method, 3)
+            levels = measures.refined(pair.on_surface, method, 3)
             rows.setdefault(Path(name).stem, {})[method] = {
                 "coarse": percents(pair.on_surface, pair.fine),
                 **{f"level {k}": percents(mesh, pair.fine) for k, mesh in enumerate(levels)}}
@@ -115,10 +108,9 @@ def semantic(folder: Path) -> dict:
     rows: dict = {}
     for vertices in FEWER:
         pair = decimated(folder, SKULL, vertices)
-        truth = Mesh(pair.transfer(pair.fine.vertices, LEVELS), refined(pair.on_surface, "midpoint").faces)
         rows[vertices] = {"coarse": percents(pair.on_surface, pair.fine),
                           **{method: percents(refined(pair.on_surface, method), pair.fine) for method in MODELS},
-                          "remesh": percents(truth, pair.fine)}
+                          "remesh": percents(remeshed(pair, LEVELS), pair.fine)}
     return rows
 
 
@@ -227,10 +219,8 @@ def texture(folder: Path) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m experiments gallery", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("experiments gallery", __doc__, "one shape for fig:teaser, no pictures")
     parser.add_argument("meshes", type=Path)
-    parser.add_argument("--quick", action="store_true", help="one shape for fig:teaser, no pictures; not written")
     options = parser.parse_args()
     folder = options.meshes
     numbers = {
@@ -247,7 +237,8 @@ def main() -> None:
     from experiments.gallery_pictures import draw_all
 
     draw_all(folder)
-    write_results("gallery", {**provenance(options), "settings": {"vertices": COARSE, "levels": LEVELS}, **numbers})
+    write_results("gallery", {**provenance(options), "settings": {"vertices": COARSE, "levels": LEVELS}, **numbers},
+                  options)
 
 
 if __name__ == "__main__":

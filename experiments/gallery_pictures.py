@@ -1,5 +1,4 @@
-"""The pictures of `gallery.py`, for docs/reproduction, in the paper's colours: the fine original green, the coarse mesh
-grey, what a network made blue; classical schemes in sand."""
+"""The pictures of `gallery.py`, for docs/reproduction."""
 
 from __future__ import annotations
 
@@ -12,8 +11,8 @@ from numpy import ndarray
 from PIL import Image
 
 import neusub
-from experiments import common
-from experiments.common import SCHEMES
+from experiments import measures
+from experiments.drawing import BACK, BLUE, FRONT, GREEN, GREY, SAND, SIDE, UP, shaded, titled, write_panels
 from experiments.gallery import (
     ARTISTS,
     CAGE,
@@ -27,19 +26,16 @@ from experiments.gallery import (
     artist_mesh,
     baked,
     decimated,
-    percents,
     refined,
     textured_cage,
     textured_fine,
 )
-from experiments.parameterization_pictures import SMALL, titled, write
+from experiments.measures import SCHEMES, percents, remeshed
+from experiments.parameterization_pictures import SMALL
 from neusub import Mesh, SelfParameterization
 from neusub.map_pictures import Surface, View, coloured_fine, edge_images, face_colors, levels_within, surface_picture
 from neusub.selfparam.parameterization import refinement
 
-GREEN, GREY, BLUE, SAND = (150, 200, 140), (214, 214, 214), (150, 190, 230), (232, 214, 180)
-FRONT, BACK, SIDE = (0.9, 0.45, 1.2), (0.9, 0.45, -1.2), (1.0, 0.3, 0.4)  # most shapes look along z, some along -z
-UP = (0, 1, 0)
 NAMES = {"loop": "Loop", **{name: name for name in ("butterfly", *MODELS)}}
 COLORS = {**dict.fromkeys(SCHEMES, SAND), **dict.fromkeys(MODELS, BLUE)}
 
@@ -48,14 +44,6 @@ def draw_all(folder: Path) -> None:
     for draw in (draw_teaser, draw_levels, draw_pairs, draw_map, draw_artists, draw_semantic, draw_texture,
                  draw_cages):
         print(draw(folder), flush=True)
-
-
-def shaded(mesh: Mesh, color: tuple, size: tuple[int, int], camera: tuple = FRONT, *, frame: Mesh | None = None,
-           edges: bool = False) -> ndarray:
-    """One panel; frame is the mesh that it is framed by, itself by default."""
-    colors = np.full(mesh.faces.shape, color, np.uint8)
-    return surface_picture(Surface(mesh.vertices, mesh.faces, colors), View(frame or mesh, size, camera, UP),
-                           wireframe=edges)
 
 
 def draw_teaser(folder: Path) -> Path:
@@ -68,7 +56,7 @@ def draw_teaser(folder: Path) -> Path:
         result = refined(coarse, method)
         title = f"{NAMES[method]}, M {percents(result, pair.fine)['M']:.3f} %"
         panels.append(titled(shaded(result, COLORS[method], size, frame=pair.fine), title))
-    return write("teaser", [panels[:3], panels[3:]])
+    return write_panels("teaser", [panels[:3], panels[3:]])
 
 
 def draw_levels(folder: Path) -> Path:
@@ -76,12 +64,12 @@ def draw_levels(folder: Path) -> Path:
     rows, size = [], (330, 270)
     for name, method in ((ROCKER, "default"), (CAT, "elephant")):
         pair = decimated(folder, name)
-        levels = common.refined(pair.on_surface, method, 3)[1:]
+        levels = measures.refined(pair.on_surface, method, 3)[1:]
         rows.append([shaded(pair.on_surface, GREY, size, frame=pair.fine, edges=True)])
         rows[-1] += [shaded(mesh, BLUE, size, frame=pair.fine, edges=level == 0) for level, mesh in enumerate(levels)]
         titles = (f"coarse, {COARSE} vertices", *(f"{method}, level {k}" for k in (1, 2, 3)))
         rows[-1] = [titled(panel, title) for panel, title in zip(rows[-1], titles)]
-    return write("all_levels", rows)
+    return write_panels("all_levels", rows)
 
 
 def draw_pairs(folder: Path) -> Path:
@@ -94,13 +82,7 @@ def draw_pairs(folder: Path) -> Path:
     bottom = [titled(shaded(fine, GREEN, size, BACK), "from behind"),
               *(titled(shaded(remeshed(r, 1), BLUE, size, frame=fine, edges=True), "target of level 1")
                 for r in results)]
-    return write("train_pairs", [top, bottom])
-
-
-def remeshed(result: SelfParameterization, level: int) -> Mesh:
-    """A refinement of the coarse mesh, every vertex at its place on the fine surface."""
-    return Mesh(result.transfer(result.fine.vertices, level),
-                refinement(result.faces, len(result.decimated), level).faces)
+    return write_panels("train_pairs", [top, bottom])
 
 
 def draw_map(folder: Path) -> Path:
@@ -114,7 +96,7 @@ def draw_map(folder: Path) -> Path:
                      "the original, by coarse face")]
     panels += [titled(surface_picture(level_colored(result, level), view), f"by face of level {level}")
                for level in (1, 2, 3)]
-    return write("map_levels", [panels[:3], panels[3:]])
+    return write_panels("map_levels", [panels[:3], panels[3:]])
 
 
 def level_colored(result: SelfParameterization, level: int) -> Surface:
@@ -135,7 +117,7 @@ def draw_artists(folder: Path) -> Path:
         is_coarse = method == "coarse"
         rows.append([titled(shaded(mesh if is_coarse else refined(mesh, method), COLORS.get(method, GREY), size,
                                    frame=mesh, edges=is_coarse), "" if k else title) for k, mesh in enumerate(meshes)])
-    return write("artists", rows)
+    return write_panels("artists", rows)
 
 
 def draw_semantic(folder: Path) -> Path:
@@ -148,7 +130,7 @@ def draw_semantic(folder: Path) -> Path:
         rows[1].append(titled(shaded(refined(coarse, "default", 3), BLUE, size, frame=whole), "default, level 3"))
     rows[0].append(titled(shaded(whole, GREEN, size), "the original"))
     rows[1].append(titled(shaded(whole, GREEN, size, SIDE), "from the side"))
-    return write("semantic", rows)
+    return write_panels("semantic", rows)
 
 
 def draw_texture(folder: Path) -> Path:
@@ -159,7 +141,7 @@ def draw_texture(folder: Path) -> Path:
     top = [cage, refined(cage, "loop"), refined(cage, "default")]
     bottom = [fine, baked(pair, image, "loop"), baked(pair, image, "default")]
     titles = [["cage, 188 vertices", "Loop", "default"], ["original", "decimated, Loop", "decimated, default"]]
-    return write("texture", [[titled(photo(mesh, (400, 400), BACK), title) for mesh, title in zip(row, words)]
+    return write_panels("texture", [[titled(photo(mesh, (400, 400), BACK), title) for mesh, title in zip(row, words)]
                              for row, words in zip((top, bottom), titles)])
 
 
@@ -177,4 +159,4 @@ def draw_cages(folder: Path) -> Path:
         mesh = cage if deform is None else cage.replace_vertices(deform(cage.vertices))
         rows[0].append(titled(shaded(mesh, GREY, size, edges=True), title))
         rows[1].append(titled(shaded(refined(mesh, "default"), BLUE, size, frame=mesh), "default, level 2"))
-    return write("modeling", rows)
+    return write_panels("modeling", rows)

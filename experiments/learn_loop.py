@@ -21,9 +21,10 @@ import torch
 from torch import Tensor
 
 import neusub
-from experiments.common import parser_of, provenance, write_results
-from experiments.parameterization_pictures import FRONT, OTHER, titled, write
-from experiments.variants import NETWORKS, Fit, fit, panel
+from experiments.common import parser_of, provenance, seeded, write_results
+from experiments.drawing import BACK, FRONT, SIDE, UP, panel, titled, write_panels
+from experiments.measures import mean_of
+from experiments.variants import NETWORKS, Fit, fit
 from neusub import Mesh, PairConfig, Subdivider, TrainingConfig
 from neusub.generation import Batch, Pair, batch_pairs, load_pairs
 from neusub.map_pictures import View
@@ -36,9 +37,9 @@ NOVEL = {  # other shapes, and where to look from
     "organic/oded_koala_low_resolution.ply": FRONT,
     "organic/oded_penguin_hr.ply": FRONT,
     "organic/oded_cat_low_resolution.ply": FRONT,
-    "organic/oded_fish.ply": (1.0, 0.3, 0.4),
+    "organic/oded_fish.ply": SIDE,
     "organic/oded_skull_low_resolution.ply": FRONT,
-    "manmade/oded_wingnut.ply": OTHER,
+    "manmade/oded_wingnut.ply": BACK,
     "manmade/oded_hammer.ply": FRONT,
 }
 DRAWN = list(NOVEL)[:3]
@@ -69,7 +70,7 @@ def loop_batch(coarse: Mesh) -> LoopBatch:
 
 
 def trained(options: argparse.Namespace) -> tuple[Fit, Subdivider]:
-    folder = options.runs / "learn_loop" / f"pairs-{options.pairs}"
+    folder = options.runs / "learn_loop" / seeded(f"pairs-{options.pairs}", options)
     config = PairConfig(total=options.pairs, validation=5, vertices=VERTICES, seed=options.seed)
     report = neusub.make_pairs([options.meshes / SOURCE], folder, config, workers=options.threads, strict=True)
     pairs = [load_pairs(files[0]) for files in (report.train, report.validation)]
@@ -106,20 +107,19 @@ def draw(folder: Path, model: Subdivider, seed: int, names: Sequence[str]) -> Pa
     rows = []
     for name in names:
         coarse = coarse_of(neusub.load(folder / name), seed)
-        view = View(coarse, (290, 270), NOVEL[name], (0, 1, 0))
+        view = View(coarse, (290, 270), NOVEL[name], UP)
         shown = {"coarse": coarse, "network": model.subdivide(coarse, 2)[-1],
                  "Loop": neusub.subdivide(coarse, "loop", 2)[-1]}
-        rows.append([titled(panel(mesh, view, wireframe=mesh is coarse), f"{title}, {len(mesh.faces):,} faces")
+        rows.append([titled(panel(mesh, view, edges=mesh is coarse), f"{title}, {len(mesh.faces):,} faces")
                      for title, mesh in shown.items()])
-    return write("learn_loop", rows)
+    return write_panels("learn_loop", rows)
 
 
 def main() -> None:
-    parser = parser_of("experiments learn_loop", __doc__)
+    parser = parser_of("experiments learn_loop", __doc__, "6 pairs, 10 epochs, two shapes")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=25)
-    parser.add_argument("--quick", action="store_true", help="6 pairs, 10 epochs, two shapes; nothing is written")
     options = parser.parse_args()
     if options.quick:
         options.pairs, options.epochs = 6, 10
@@ -130,15 +130,15 @@ def main() -> None:
     for name in list(NOVEL)[: 2 if options.quick else None]:
         rows[Path(name).stem] = compared(coarse_of(neusub.load(options.meshes / name), options.seed), model)
         print(Path(name).stem, json.dumps(rows[Path(name).stem]), flush=True)
-    means = {key: float(np.mean([row[key] for row in rows.values()])) for key in next(iter(rows.values()))}
+    means = mean_of(rows)
     print("mean", json.dumps(means))
-    if options.quick:
-        return
-    print(draw(options.meshes, model, options.seed, DRAWN))
+    if not options.quick:
+        print(draw(options.meshes, model, options.seed, DRAWN))
     write_results("learn_loop", {
         **provenance(options), "source": SOURCE, "pairs": options.pairs, "epochs": options.epochs,
         "best_epoch": result.best_epoch, "best_validation_loss": float(result.losses.min()),
-        "cpu_seconds": round(result.seconds), "percent_of_the_diagonal": {"mean": means, "shapes": rows}})
+        "cpu_seconds": round(result.seconds), "percent_of_the_diagonal": {"mean": means, "shapes": rows}},
+        options)
 
 
 if __name__ == "__main__":

@@ -15,11 +15,10 @@ from dataclasses import replace
 from pathlib import Path
 
 import neusub
-from experiments.common import parser_of, provenance, training_scores, write_results
-from experiments.gallery_pictures import BACK, BLUE, GREEN, GREY, shaded
-from experiments.parameterization_pictures import titled, write
-from experiments.smoothness import angles
-from experiments.styles import HELD_OUT, SPOT, VALIDATION, held_out, mean_of, percents
+from experiments.common import parser_of, provenance, seeded, training_scores, write_results
+from experiments.drawing import BACK, BLUE, GREEN, GREY, shaded, titled, write_panels
+from experiments.measures import angles, mean_of, percents, refined
+from experiments.styles import HELD_OUT, SPOT, VALIDATION, held_out
 from neusub import PRESETS, PairConfig
 
 SHOWS = ("fig:level3",)
@@ -29,7 +28,7 @@ DRAWN, PANEL = HELD_OUT["organic"][0], (300, 260)
 
 def trained(levels: int, options: argparse.Namespace) -> tuple[neusub.Subdivider, dict]:
     """Pairs of the same seeds whatever the number of levels: the two networks see the same coarse meshes."""
-    folder = options.runs / "level3" / f"{levels}-levels-{options.pairs}"
+    folder = options.runs / "level3" / seeded(f"{levels}-levels-{options.pairs}", options)
     plan = PairConfig(total=options.pairs, validation=VALIDATION, levels=levels, seed=options.seed)
     pairs = neusub.make_pairs([options.meshes / SPOT], folder / "pairs", plan, workers=options.threads, strict=True,
                               licence="CC0 (Crane)")
@@ -44,11 +43,7 @@ def scores(method: neusub.Subdivider | str, options: argparse.Namespace) -> dict
     rows: dict = {f"level {level}": {} for level in range(1, TESTED + 1)}
     for name in HELD_OUT["organic"][: 1 if options.quick else None]:
         fine, coarse = held_out(options.meshes, name)
-        if isinstance(method, str):
-            levels = neusub.subdivide(coarse, method, TESTED)  # type: ignore[arg-type]
-        else:
-            levels = method.subdivide(coarse, TESTED)
-        for level, mesh in enumerate(levels[1:], start=1):
+        for level, mesh in enumerate(refined(coarse, method, TESTED)[1:], start=1):
             rows[f"level {level}"][name] = {**percents(mesh, fine), "angle": float(angles(mesh).mean())}
     return {level: mean_of(shapes) for level, shapes in rows.items()}
 
@@ -61,15 +56,14 @@ def draw(model: neusub.Subdivider, folder: Path) -> Path:
               titled(shaded(coarse, GREY, PANEL, edges=True), f"coarse, {len(coarse.vertices)} vertices")]
     panels += [titled(shaded(mesh, BLUE, PANEL, edges=level < 2), f"level {level}")
                for level, mesh in enumerate(levels[1:], start=1)]
-    return write("level3", [panels])
+    return write_panels("level3", [panels])
 
 
 def main() -> None:
-    parser = parser_of("experiments level3", __doc__)
+    parser = parser_of("experiments level3", __doc__, "8 pairs, 5 epochs, one shape")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=700)
-    parser.add_argument("--quick", action="store_true", help="8 pairs, 5 epochs, one shape; nothing is written")
     options = parser.parse_args()
     if options.quick:
         options.pairs, options.epochs = 8, 5
@@ -84,8 +78,8 @@ def main() -> None:
             print(f"{name:10s}{level}  " + "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
     if not options.quick:
         print(draw(models["3 levels"], options.meshes))
-        write_results("level3", {**provenance(options), "shape": Path(SPOT).stem, "trainings": trainings,
-                                 "scores": rows})
+    write_results("level3", {**provenance(options), "shape": Path(SPOT).stem, "trainings": trainings, "scores": rows},
+                  options)
 
 
 if __name__ == "__main__":

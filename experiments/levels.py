@@ -18,10 +18,11 @@ import torch
 from numpy import ndarray
 
 import neusub
-from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, score, write_results
-from experiments.parameterization_pictures import CLAY, titled, write
-from experiments.smoothness import FOLD, angles
-from neusub.map_pictures import Surface, View, surface_picture
+from experiments import measures
+from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, write_results
+from experiments.drawing import BACK, CLAY, UP, panel, titled, write_panels
+from experiments.measures import FOLD, angles, mean_of, score
+from neusub.map_pictures import View
 from neusub.metrics import face_normals
 
 SHOWS = ("fig:lim_beyondSubd",)
@@ -30,16 +31,16 @@ MODELS, SCHEMES = ("elephant", "default"), ("loop", "butterfly")
 METHODS = (*MODELS, *(f"{model}, then loop" for model in MODELS), *SCHEMES)
 DRAWN, COARSE = "organic/oded_spot.ply", 402  # as many vertices as the fixed inputs have
 HEAD = np.array([[0.28, 0.65, 0.0], [0.72, 0.91, 0.4]])  # of spot's box: the part that the close-ups show
-CAMERA, LIGHT = (0.9, 0.45, -1.2), (0.9, 0.5, 0.3)  # light from the side shows what is not smooth
+LIGHT = (0.9, 0.5, 0.3)  # light from the side shows what is not smooth
 
 
 def refined(mesh: neusub.Mesh, method: str, levels: int) -> list[neusub.Mesh]:
     """Levels 0 to `levels`."""
-    if method in SCHEMES:
-        return neusub.subdivide(mesh, method, levels)  # type: ignore[arg-type]
     name, _, then = method.partition(", ")
-    model = neusub.Subdivider.load(name)
-    learned = min(model.network.plan.trained, levels) if then else levels
+    if not then:
+        return measures.refined(mesh, name, levels)
+    model = measures.loaded(name)
+    learned = min(model.network.plan.trained, levels)
     return model.subdivide(mesh, learned, levels - learned)
 
 
@@ -64,12 +65,8 @@ def table(options: argparse.Namespace, levels: int) -> dict:
             for level, mesh in enumerate(refined(meshes[name], method, levels)[1:], start=1):
                 rows[method][level].append(numbers_of(mesh, reference))
         print(name, *(f"{method} {rows[method][levels][-1]['M']:.3f}" for method in METHODS), flush=True)
-    return {method: {f"level {level}": averaged(shapes) for level, shapes in by_level.items()}
+    return {method: {f"level {level}": mean_of(shapes) for level, shapes in by_level.items()}
             for method, by_level in rows.items()}
-
-
-def averaged(shapes: list[dict]) -> dict:
-    return {key: float(np.mean([row[key] for row in shapes])) for key in shapes[0]}
 
 
 # --- the picture -------------------------------------------------------------------------------------------------
@@ -78,8 +75,7 @@ def averaged(shapes: list[dict]) -> dict:
 def flat(mesh: neusub.Mesh, view: View) -> ndarray:
     """Each face in one shade, darker where it turns from the light."""
     cosine = face_normals(mesh) @ (np.array(LIGHT) / np.linalg.norm(LIGHT))
-    colors = (0.4 + 0.6 * (1 + cosine[:, None]) / 2) * np.array(CLAY)
-    return surface_picture(Surface(mesh.vertices, mesh.faces, colors.astype(np.uint8)), view)
+    return panel(mesh, view, (0.4 + 0.6 * (1 + cosine[:, None]) / 2) * np.array(CLAY))
 
 
 def draw(folder: Path) -> Path:
@@ -89,20 +85,19 @@ def draw(folder: Path) -> Path:
     low, size = coarse.vertices.min(axis=0), np.ptp(coarse.vertices, axis=0)
     corners = low + size * np.array([[x, y, z] for x in HEAD[:, 0] for y in HEAD[:, 1] for z in HEAD[:, 2]])
     box = neusub.Mesh(corners, np.array([[0, 1, 2], [3, 2, 1], [4, 5, 6], [7, 6, 5]]))  # two sides have all corners
-    view = View(box, (280, 225), CAMERA, (0, 1, 0))
+    view = View(box, (280, 225), BACK, UP)
     rows = []
     for method in ("elephant", "elephant, then loop", "default", "loop"):
         meshes = refined(coarse, method, LEVELS)
         rows.append([titled(flat(meshes[level], view), f"{method}, level {level}") for level in range(2, LEVELS + 1)])
-    return write("levels", rows)
+    return write_panels("levels", rows)
 
 
 def main() -> None:
-    parser = parser_of("experiments levels", __doc__)
+    parser = parser_of("experiments levels", __doc__, "two shapes to level 3")
     parser.add_argument("tosca", type=Path)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--inputs", type=Path, required=True, help="tosca8_coarse.npz, the eight fixed inputs")
-    parser.add_argument("--quick", action="store_true", help="two shapes to level 3; nothing is written")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     rows = table(options, 3 if options.quick else LEVELS)
@@ -112,8 +107,8 @@ def main() -> None:
                   f"99 % {row['angle_99']:.1f}  times root {row['mean_angle_root_edges']:.0f}")
     if not options.quick:
         print(draw(options.meshes))
-        settings = {"inputs": "on_surface", "levels": LEVELS}
-        write_results("levels", {"citation": TOSCA, **provenance(options), "settings": settings, "methods": rows})
+    settings = {"inputs": "on_surface", "levels": LEVELS}
+    write_results("levels", {"citation": TOSCA, **provenance(options), "settings": settings, "methods": rows}, options)
 
 
 if __name__ == "__main__":

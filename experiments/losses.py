@@ -21,21 +21,19 @@ from typing import Any
 import igl
 import numpy as np
 import torch
-from numpy import ndarray
 from scipy.spatial import cKDTree
 from torch import Tensor
 
 import neusub
-from experiments.common import parser_of, provenance, write_results
-from experiments.parameterization_pictures import FRONT, RED, titled, write
-from experiments.smoothness import FOLD, angles
-from experiments.variants import CLAY, NETWORKS, Fit, fit, panel, refined
+from experiments.common import parser_of, provenance, seeded, write_results
+from experiments.drawing import FRONT, UP, panel, red, titled, write_panels
+from experiments.measures import FOLD, angles, is_flipped, mean_of, percents, remeshed
+from experiments.variants import NETWORKS, Fit, fit, refined
 from neusub import Mesh, PairConfig, TrainingConfig
 from neusub.discretization import in_unit_box
 from neusub.generation import Batch, Pair, batch_pairs, load_pairs
 from neusub.map_pictures import View
-from neusub.metrics import face_normals, point_distance, sample_surface
-from neusub.selfparam.parameterization import refinement
+from neusub.metrics import point_distance, sample_surface
 
 SHOWS = ("fig:chamfer", "fig:point2mesh")
 SOURCE = "organic/oded_skull_low_resolution.ply"  # has deep and thin parts: the closest point may be on another one
@@ -104,26 +102,18 @@ def covered(result: Mesh, fine: Mesh, within: float) -> float:
     return float(100 * (point_distance(samples, result)[0] <= within / 100 * diagonal).mean())
 
 
-def is_flipped(result: Mesh, fine: Mesh) -> ndarray:
-    _, at, _ = point_distance(result.vertices[result.faces].mean(axis=1), fine)
-    return (face_normals(result) * face_normals(fine)[at]).sum(axis=1) < 0
-
-
 def numbers_of(result: Mesh, fine: Mesh) -> dict[str, float]:
-    d = neusub.distance(result, fine)
     return {"flipped": 100 * float(is_flipped(result, fine).mean()),
             "folded": 100 * float((angles(result) > FOLD).mean()),
-            "covered": covered(result, fine, NEAR), "H": d.percent(d.hausdorff), "M": d.percent(d.mean)}
+            "covered": covered(result, fine, NEAR), **percents(result, fine)}
 
 
 def correspondences(fine: Mesh, seed: int) -> dict[str, Mesh]:
     """fig:point2mesh: the refined coarse mesh, and where closest points and the map send its vertices."""
     result = neusub.decimate(fine, n_vertices=VERTICES, strategy="random", seed=seed)
-    levels = refinement(result.faces, len(result.decimated), FINE_LEVELS)
     plain = neusub.subdivide(result.on_surface, "midpoint", FINE_LEVELS)[-1]
-    mapped = result.points(*result.to_fine(levels.at, levels.barycentric))
     return {"midpoints": plain, "closest points": plain.replace_vertices(point_distance(plain.vertices, fine)[2]),
-            "map": plain.replace_vertices(mapped)}
+            "map": remeshed(result, FINE_LEVELS)}
 
 
 def reach(fine: Mesh, seed: int) -> dict[str, dict[str, float]]:
@@ -136,41 +126,36 @@ def reach(fine: Mesh, seed: int) -> dict[str, dict[str, float]]:
 # --- pictures ----------------------------------------------------------------------------------------------------
 
 
-def red(is_red: ndarray) -> ndarray:
-    return np.where(is_red[:, None], RED, CLAY).astype(np.uint8)
-
-
 def draw_targets(fine: Mesh, rows: dict, seed: int) -> Path:
     """The fine surface, red where the targets do not reach it."""
-    view, panels, targets = View(fine, PANEL, FRONT, (0, 1, 0)), [], correspondences(fine, seed)
+    view, panels, targets = View(fine, PANEL, FRONT, UP), [], correspondences(fine, seed)
     near = VERY_NEAR / 100 * np.linalg.norm(np.ptp(fine.vertices, axis=0))
     centres = fine.vertices[fine.faces].mean(axis=1)
     for name in ("closest points", "map"):
         missed = point_distance(centres, targets[name])[0] > near
         title = f"{name}: {100 - rows[name]['covered']:.1f} % missed"
-        panels.append(titled(panel(fine, view, red(missed), wireframe=False), title))
-    return write("point2mesh", [panels])
+        panels.append(titled(panel(fine, view, red(missed)), title))
+    return write_panels("point2mesh", [panels])
 
 
 def draw_results(results: dict[str, Fit], pair: Pair, fine: Mesh) -> Path:
     """Results for one coarse mesh, flipped triangles in red."""
     batch = batch_pairs([pair])
     coarse = Mesh(pair.positions("on_surface").astype(float), pair.faces)
-    view = View(fine, PANEL, FRONT, (0, 1, 0))
-    panels = [titled(panel(coarse, view), f"coarse, {len(coarse.faces)} faces")]
+    view = View(fine, PANEL, FRONT, UP)
+    panels = [titled(panel(coarse, view, edges=True), f"coarse, {len(coarse.faces)} faces")]
     for name, title in TITLES.items():
         mesh = refined(results[name].network, pair, batch.positions, batch)[-1]
         flipped = is_flipped(mesh, fine)
         panels.append(titled(panel(mesh, view, red(flipped)), f"{title}: {flipped.sum()} flipped"))
-    return write("losses", [panels])
+    return write_panels("losses", [panels])
 
 
 def main() -> None:
-    parser = parser_of("experiments losses", __doc__)
+    parser = parser_of("experiments losses", __doc__, "4 pairs, 5 epochs")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--epochs", type=int, default=50)
-    parser.add_argument("--quick", action="store_true", help="4 pairs, 5 epochs; nothing is written")
     options = parser.parse_args()
     if options.quick:
         options.pairs, options.epochs = 4, 5
@@ -180,8 +165,8 @@ def main() -> None:
         print(name, json.dumps(reached[Path(name).stem]), flush=True)
     fine = in_unit_box(neusub.load(options.meshes / SOURCE))
     config = PairConfig(total=options.pairs, validation=5, seed=options.seed)
-    report = neusub.make_pairs([options.meshes / SOURCE], options.runs / "losses" / f"pairs-{options.pairs}", config,
-                               workers=options.threads, strict=True)
+    folder = options.runs / "losses" / seeded(f"pairs-{options.pairs}", options)
+    report = neusub.make_pairs([options.meshes / SOURCE], folder, config, workers=options.threads, strict=True)
     train, held_out = load_pairs(report.train[0]), load_pairs(report.validation[0])
     training = TrainingConfig(epochs=options.epochs, seed=options.seed, threads=options.threads, schedule="cosine")
     results, rows = {}, {}
@@ -190,16 +175,14 @@ def main() -> None:
         results[name] = result = fit(NETWORKS["paper"], *batches, training)
         numbers = [numbers_of(refined(result.network, pair, batch.positions, batch)[-1], fine)
                    for pair, batch in zip(held_out, batches[1])]
-        rows[name] = {key: float(np.mean([row[key] for row in numbers])) for key in numbers[0]}
-        rows[name] |= {"best_epoch": result.best_epoch, "cpu_seconds": round(result.seconds)}
+        rows[name] = {**mean_of(numbers), "best_epoch": result.best_epoch, "cpu_seconds": round(result.seconds)}
         print(name, json.dumps(rows[name]), flush=True)
-    if options.quick:
-        return
-    print(draw_targets(fine, reached[Path(SOURCE).stem], options.seed), draw_results(results, held_out[0], fine))
+    if not options.quick:
+        print(draw_targets(fine, reached[Path(SOURCE).stem], options.seed), draw_results(results, held_out[0], fine))
     write_results("losses", {
         **provenance(options), "source": SOURCE, "pairs": options.pairs, "epochs": options.epochs,
         "covered_within_percent_of_the_diagonal": {"targets": VERY_NEAR, "results": NEAR},
-        "targets": {"levels": FINE_LEVELS, "vertices": VERTICES, **reached}, "results": rows})
+        "targets": {"levels": FINE_LEVELS, "vertices": VERTICES, **reached}, "results": rows}, options)
 
 
 if __name__ == "__main__":

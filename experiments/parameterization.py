@@ -9,27 +9,25 @@ Distortion is the quasi-conformal error (`neusub.selfparam.report`) of the trian
 
 from __future__ import annotations
 
-import argparse
 import csv
-import time
 from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
 
 import neusub
-from experiments.common import provenance, write_results
+from experiments.common import parser_of, provenance, write_results
+from experiments.measures import remeshed, round_trip
 from neusub import Criteria, Mesh, SelfParameterization, decimate
 from neusub.selfparam.maps import decimate_maps
 from neusub.selfparam.parameterization import refinement
 
 SHOWS = ("fig:withWithoutConformal", "fig:controlEC", "fig:uniformRemesh", "fig:robustSSS", "fig:manyShapes",
-         "fig:trainData", "sec:SSS")
+         "fig:trainData")
 FACES, LEVELS = 500, 2
 SPOT, BLUB = "organic/oded_spot.ply", "textured/cino_blub_triangulated.ply"
 KOALA, PENGUIN, HAMMER = "organic/oded_koala.ply", "organic/oded_penguin_hr.ply", "manmade/oded_hammer.ply"
 TEXTURED = "originals/spot_triangulated.obj"  # 2930 vertices; also the one of which a half is refined
-SKULL = "organic/oded_skull_low_resolution.ply"  # 5154 vertices, refined for the times
 STRATEGIES = ("quadric", "uniform", "random", "edge-length", "appearance")
 CRITERIA = {
     "all": Criteria(),
@@ -54,12 +52,6 @@ def variation(values: ndarray) -> float:
     return float(values.std() / values.mean())
 
 
-def remeshed(result: SelfParameterization, levels: int = LEVELS) -> Mesh:
-    """The refinement of the coarse mesh, each vertex at its image on the fine surface."""
-    refined = refinement(result.faces, len(result.decimated), levels)
-    return Mesh(result.points(*result.to_fine(refined.at, refined.barycentric)), refined.faces)
-
-
 def distortion(result: SelfParameterization) -> dict:
     report = result.report(LEVELS)
     return {"median": report.conformal_median, "99 %": report.conformal_high, "worst": report.conformal_worst,
@@ -76,12 +68,7 @@ def evenness(result: SelfParameterization, levels: int = 4) -> dict:
 
 def lost(result: SelfParameterization, points: int = 20_000) -> float:
     """Share of random coarse points that do not come back from the fine mesh, by more than 1e-6 of the diagonal."""
-    rng = np.random.default_rng(0)
-    faces, barycentric = rng.integers(0, len(result.faces), points), rng.dirichlet([1, 1, 1], points)
-    back, there = result.to_coarse(*result.to_fine(faces, barycentric))
-    corners = result.decimated[result.faces]
-    moved = np.einsum("nk,nkx->nx", barycentric, corners[faces]) - np.einsum("nk,nkx->nx", there, corners[back])
-    return float((np.linalg.norm(moved, axis=1) > 1e-6 * np.linalg.norm(np.ptp(result.fine.vertices, axis=0))).mean())
+    return float((round_trip(result, points) > 1e-6).mean())
 
 
 # --- one function for each figure --------------------------------------------------------------------------------
@@ -219,28 +206,9 @@ def discretizations(folder: Path, count: int) -> dict:
             "mean_distance_percent_of_level": dict(enumerate(levels.mean(axis=0).tolist()))}
 
 
-def seconds(folder: Path, most: int, repeats: int = 2) -> dict:
-    """sec:SSS: seconds of the processor against size; the least of the repetitions."""
-    mesh, rows = neusub.load(folder / SKULL), []
-    while len(mesh.vertices) <= most:
-        took = []
-        for _ in range(repeats):
-            again, start = Mesh(mesh.vertices, mesh.faces), time.process_time()  # again: without the topology
-            decimate(again, n_faces=FACES)
-            took.append(time.process_time() - start)
-        rows.append({"vertices": len(mesh.vertices), "seconds": min(took),
-                     "ns_per_n_log_n": 1e9 * min(took) / (len(mesh.vertices) * np.log2(len(mesh.vertices)))})
-        print(rows[-1], flush=True)
-        mesh = neusub.subdivide(mesh, "midpoint", 1)[-1]
-    slope = np.polyfit(np.log([row["vertices"] for row in rows]), np.log([row["seconds"] for row in rows]), 1)[0]
-    return {"sizes": rows, "exponent": float(slope)}
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(prog="python -m experiments parameterization", description=__doc__,
-                                     formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser = parser_of("experiments parameterization", __doc__, "fewer and smaller meshes, no pictures")
     parser.add_argument("meshes", type=Path)
-    parser.add_argument("--quick", action="store_true", help="fewer and smaller meshes; nothing is written")
     options = parser.parse_args()
     folder, quick = options.meshes, options.quick
     numbers = {
@@ -249,16 +217,15 @@ def main() -> None:
         "fig:uniformRemesh": against_maps(folder, 1 if quick else 2),
         "fig:robustSSS": criteria(shapes(folder, 5_000 if quick else 60_000)),
         "fig:manyShapes": discretizations(folder, 3 if quick else 10),
-        "sec:SSS": seconds(folder, 100_000 if quick else 1_500_000),
     }
     if quick:
         print(numbers)
         return
     from experiments.parameterization_pictures import draw_all
 
-    draw_all(folder, numbers["sec:SSS"])
-    source = {**provenance(options), "command": "python -m experiments parameterization MESHES"}
-    write_results("parameterization", {**source, "settings": {"faces": FACES, "levels": LEVELS}, **numbers})
+    draw_all(folder)
+    settings = {"faces": FACES, "levels": LEVELS}
+    write_results("parameterization", {**provenance(options), "settings": settings, **numbers}, options)
 
 
 if __name__ == "__main__":

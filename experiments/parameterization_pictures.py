@@ -2,15 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
-from PIL import Image, ImageDraw, ImageFont
 
 import neusub
-from experiments.common import write_chart, write_picture
+from experiments.drawing import BACK, FRONT, SIDE, UP, panel, red, titled, write_panels
+from experiments.measures import remeshed
 from experiments.parameterization import (
     BLUB,
     CRITERIA,
@@ -22,22 +21,19 @@ from experiments.parameterization import (
     TEXTURED,
     down,
     drawn,
-    remeshed,
     uneven,
 )
 from neusub import Mesh, SelfParameterization, decimate
-from neusub.map_pictures import Surface, View, checkerboard, coloured_fine, edge_images, face_colors, surface_picture
+from neusub.map_pictures import View, checkerboard, coloured_fine, edge_images, face_colors, surface_picture
 from neusub.metrics import face_normals
 from neusub.selfparam.parameterization import refinement
 
 SMALL = 400_000  # faces of a coloured surface
-CLAY, RED, TITLE = (223, 227, 234), (220, 50, 40), 26
-FRONT, OTHER = (0.9, 0.45, 1.2), (0.9, 0.45, -1.2)  # most shapes look along z, spot along -z
 # Four corners of a view, in shares of the shape's box.
 LACES = np.array([[0.3, 0.4, 0.2], [0.75, 0.4, 0.2], [0.3, 1.0, 0.2], [0.3, 0.4, 0.8]])  # of the boot
 FINGERS = np.array([[0.1, 0.5, 0.0], [0.95, 0.5, 0.0], [0.1, 1.0, 0.0], [0.1, 0.5, 1.0]])  # of the hand
 GALLERY = {  # where to look from
-    "organic/oded_fish.ply": (1.0, 0.3, 0.4),
+    "organic/oded_fish.ply": SIDE,
     "organic/oded_hand_closed.ply": FRONT,
     "organic/oded_scorpion.ply": (0.9, 0.8, 1.2),
     "organic/oded_penguin_hr.ply": FRONT,
@@ -48,32 +44,17 @@ GALLERY = {  # where to look from
 }
 
 
-def draw_all(folder: Path, times: dict) -> None:
+def draw_all(folder: Path) -> None:
     for draw in (draw_flattenings, draw_strategies, draw_maps, draw_fitted, draw_criteria, draw_gallery, draw_draws,
                  draw_targets):
         print(draw(folder), flush=True)
-    print(draw_times(times))
 
 
 # --- panels ------------------------------------------------------------------------------------------------------
 
 
-def titled(picture: ndarray, title: str) -> ndarray:
-    image = Image.new("RGB", (picture.shape[1], picture.shape[0] + TITLE), "white")
-    image.paste(Image.fromarray(picture))
-    at = (picture.shape[1] / 2, picture.shape[0] + TITLE / 2)
-    ImageDraw.Draw(image).text(at, title, fill="black", font=ImageFont.load_default(15), anchor="mm")
-    return np.asarray(image)
-
-
-def write(name: str, rows: Sequence[Sequence[ndarray]]) -> Path:
-    """Panels of one size in rows."""
-    return write_picture(name, Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])))
-
-
 def wireframe(mesh: Mesh, view: View) -> ndarray:
-    return surface_picture(Surface(mesh.vertices, mesh.faces, np.full(mesh.faces.shape, CLAY, np.uint8)), view,
-                           wireframe=True)
+    return panel(mesh, view, edges=True)
 
 
 def checks(result: SelfParameterization, view: View) -> ndarray:
@@ -94,35 +75,35 @@ def draw_flattenings(folder: Path) -> Path:
     rows: list[list[ndarray]] = [[], []]
     for name, camera in ((BLUB, (1.0, 0.3, 0.6)), (KOALA, FRONT), (PENGUIN, FRONT)):
         mesh = neusub.load(folder / name)
-        view = View(mesh, (420, 360), camera, (0, 1, 0))
+        view = View(mesh, (420, 360), camera, UP)
         for row, flattening in zip(rows, ("conformal", "uniform")):
             picture = checks(decimate(mesh, n_faces=FACES, flattening=flattening), view)
             row.append(titled(picture, f"{flattening} flattening"))
-    return write("flattening", rows)
+    return write_panels("flattening", rows)
 
 
 def draw_strategies(folder: Path) -> Path:
     """fig:controlEC."""
     mesh = neusub.load(folder / TEXTURED)
-    view = View(mesh, (270, 330), OTHER, (0, 1, 0))
+    view = View(mesh, (270, 330), BACK, UP)
     results = {name: decimate(mesh, n_faces=FACES, strategy=name) for name in STRATEGIES}
-    return write("strategies", [[wireframe(r.coarse, view) for r in results.values()],
+    return write_panels("strategies", [[wireframe(r.coarse, view) for r in results.values()],
                                 [titled(patches(r, view), name) for name, r in results.items()]])
 
 
 def draw_maps(folder: Path) -> Path:
     """fig:uniformRemesh: the first refinement."""
     mesh = uneven(neusub.load(folder / TEXTURED), 2)
-    view = View(mesh, (330, 390), (1.3, 0.45, -0.6), (0, 1, 0))
+    view = View(mesh, (330, 390), (1.3, 0.45, -0.6), UP)
     titles = {"quadric": "ours, quadric", "uniform": "ours, uniform", "MAPS": "MAPS"}
     panels = [titled(wireframe(remeshed(down(mesh, name), 1), view), title) for name, title in titles.items()]
-    return write("maps", [[titled(wireframe(mesh, view), f"input, {len(mesh.faces):,} faces"), *panels]])
+    return write_panels("maps", [[titled(wireframe(mesh, view), f"input, {len(mesh.faces):,} faces"), *panels]])
 
 
 def closer(mesh: Mesh, corners: ndarray, size: tuple[int, int]) -> View:
     """A view of a part, which lies between these corners of the box."""
     frame = corners * np.ptp(mesh.vertices, axis=0) + mesh.vertices.min(axis=0)
-    return View(Mesh(frame, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3]])), size, FRONT, (0, 1, 0))
+    return View(Mesh(frame, np.array([[0, 1, 2], [0, 3, 1], [0, 2, 3]])), size, FRONT, UP)
 
 
 def draw_fitted(folder: Path) -> Path:
@@ -131,7 +112,7 @@ def draw_fitted(folder: Path) -> Path:
     view, result = closer(mesh, FINGERS, (420, 320)), decimate(mesh, n_faces=200, strategy="uniform")
     panels = {f"input, {len(mesh.faces):,} faces": mesh, "over 200 faces": remeshed(result),
               "fitted": remeshed(result.fitted(LEVELS))}
-    return write("fitted", [[titled(wireframe(shown, view), title) for title, shown in panels.items()]])
+    return write_panels("fitted", [[titled(wireframe(shown, view), title) for title, shown in panels.items()]])
 
 
 def draw_criteria(folder: Path) -> Path:
@@ -143,10 +124,9 @@ def draw_criteria(folder: Path) -> Path:
         fine, refined = remeshed(result), refinement(result.faces, len(result.decimated), LEVELS)
         under, _ = result.to_fine(refined.owner, refined.corners.mean(axis=1))
         is_flipped = (face_normals(fine) * face_normals(mesh)[under]).sum(axis=1) < 0
-        colors = np.where(is_flipped[:, None], RED, CLAY).astype(np.uint8)
-        picture = surface_picture(Surface(fine.vertices, fine.faces, colors), view, wireframe=True)
+        picture = panel(fine, view, red(is_flipped), edges=True)
         panels.append(titled(picture, f"{title}, {100 * is_flipped.mean():.1f} % turned over"))
-    return write("criteria", [panels])
+    return write_panels("criteria", [panels])
 
 
 def draw_gallery(folder: Path) -> Path:
@@ -154,42 +134,26 @@ def draw_gallery(folder: Path) -> Path:
     panels = []
     for name, camera in GALLERY.items():
         result = decimate(neusub.load(folder / name), n_faces=FACES)
-        view = View(result.fine, (330, 280), camera, (0, 1, 0))
+        view = View(result.fine, (330, 280), camera, UP)
         panels.append(titled(patches(result, view), f"{len(result.fine.faces):,} to {len(result.faces)} faces"))
-    return write("shapes", [panels[:4], panels[4:]])
+    return write_panels("shapes", [panels[:4], panels[4:]])
 
 
 def draw_draws(folder: Path) -> Path:
     """fig:manyShapes."""
     results = drawn(folder, 7)
-    view = View(results[0].fine, (300, 330), OTHER, (0, 1, 0))
+    view = View(results[0].fine, (300, 330), BACK, UP)
     panels = [titled(wireframe(mesh, view), f"{len(mesh.vertices):,} vertices")
               for mesh in (results[0].fine, *(result.coarse for result in results))]
-    return write("many_shapes", [panels[:4], panels[4:]])
+    return write_panels("many_shapes", [panels[:4], panels[4:]])
 
 
 def draw_targets(folder: Path) -> Path:
     """fig:trainData: two draws, and the levels that are their targets."""
     rows = []
     for result in drawn(folder, 7)[-3:-1]:
-        view = View(result.fine, (300, 330), OTHER, (0, 1, 0))
+        view = View(result.fine, (300, 330), BACK, UP)
         rows.append([titled(wireframe(result.coarse, view), f"decimated, {len(result.decimated)} vertices")])
         rows[-1] += [titled(wireframe(remeshed(result, level), view), f"target of level {level}")
                      for level in range(LEVELS + 1)]
-    return write("training_data", rows)
-
-
-def draw_times(times: dict) -> Path:
-    """sec:SSS."""
-    from matplotlib.figure import Figure
-
-    n, seconds = (np.array([row[key] for row in times["sizes"]]) for key in ("vertices", "seconds"))
-    figure = Figure(figsize=(5.4, 3.6), dpi=120, layout="constrained")
-    axes = figure.add_subplot()
-    axes.loglog(n, seconds, "o-", label=f"measured, exponent {times['exponent']:.2f}")
-    axes.loglog(n, seconds[0] * n * np.log(n) / (n[0] * np.log(n[0])), "--", color="gray",
-                label="N log N from the first point")
-    axes.set(xlabel="vertices", ylabel="seconds of one core")
-    axes.grid(alpha=0.3)
-    axes.legend()
-    return write_chart("time", figure)
+    return write_panels("training_data", rows)

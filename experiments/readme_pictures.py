@@ -12,13 +12,13 @@ from pathlib import Path
 
 from PIL import Image
 
-from experiments.common import HERE, PICTURES, parser_of, write_picture
+from experiments.common import HERE
+from experiments.drawing import PICTURES, write_picture
 
 EXAMPLES = HERE.parent / "examples"
 
 
 def main() -> None:
-    parser_of("experiments readme_pictures", __doc__).parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         subprocess.run([sys.executable, str(EXAMPLES / "demo.py"), "--output", folder], check=True)

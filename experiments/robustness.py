@@ -18,8 +18,8 @@ import numpy as np
 
 import neusub
 from experiments.common import parser_of, provenance, write_results
+from experiments.measures import is_turned
 from neusub import NeusubError
-from neusub.metrics import face_normals
 
 SIZE, LEVELS = 500, 4
 
@@ -32,16 +32,6 @@ def coarse_meshes(folder: Path, row: dict, most_faces: int) -> dict[str, neusub.
         result = neusub.decimate(mesh, n_vertices=SIZE)
         meshes |= {"on_surface": result.on_surface, "decimated": result.coarse}
     return meshes
-
-
-def turned(levels: list[neusub.Mesh]) -> list[float]:
-    """Share of each level's triangles that look away from their coarse face, in percent."""
-    start, shares = face_normals(levels[0]), []
-    for mesh in levels:
-        normals, parents = face_normals(mesh), np.arange(len(mesh.faces)) % len(levels[0].faces)
-        cosine = (normals * start[parents]).sum(axis=1)
-        shares.append(100 * float((cosine < 0).mean()))
-    return shares
 
 
 def far(coarse: neusub.Mesh, mesh: neusub.Mesh) -> int:
@@ -58,13 +48,14 @@ def far(coarse: neusub.Mesh, mesh: neusub.Mesh) -> int:
 def check(coarse: neusub.Mesh, model: neusub.Subdivider, kind: str, levels: int) -> dict:
     ours = [coarse, *model.subdivide(coarse, levels, input="decimated" if kind == "decimated" else "on_surface")[1:]]
     loop = neusub.subdivide(coarse, "loop", levels)
+    turned = [100 * float(is_turned(a, coarse).mean() - is_turned(b, coarse).mean()) for a, b in zip(ours, loop)]
     return {"not_finite": int(sum((~np.isfinite(mesh.vertices)).sum() for mesh in ours)),
             "far": [far(coarse, mesh) for mesh in ours[1:]],
-            "turned": [round(a - b, 4) for a, b in zip(turned(ours)[1:], turned(loop)[1:])]}
+            "turned": [round(share, 4) for share in turned[1:]]}
 
 
 def main() -> None:
-    parser = parser_of("experiments robustness", __doc__)
+    parser = parser_of("experiments robustness", __doc__, "ten meshes, two levels")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--levels", type=int, default=LEVELS)
     parser.add_argument("--model", default="default", help="a name or a file")
@@ -73,6 +64,8 @@ def main() -> None:
     model, rows, refused = neusub.Subdivider.load(options.model), {}, {}
     with (options.meshes / "INDEX.csv").open(newline="") as file:
         entries = [row for row in csv.DictReader(file) if row["manifold"] == "True"]
+    if options.quick:
+        entries, options.levels = entries[::len(entries) // 10], 2
     for row in entries:
         try:
             meshes = coarse_meshes(options.meshes, row, options.most_faces)
@@ -86,7 +79,7 @@ def main() -> None:
              "far": sum(sum(n["far"]) for n in rows.values()),
              "turned_more_than_loop": max(max(n["turned"]) for n in rows.values())}
     write_results("robustness", {**provenance(options), "levels": options.levels, "worst": worst, "meshes": rows,
-                                 "refused": refused})
+                                 "refused": refused}, options)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ takes small sizes, and writes nothing.
 from __future__ import annotations
 
 import ctypes
-import json
 import sys
 import time
 from collections.abc import Callable
@@ -30,7 +29,8 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 import neusub
-from experiments.common import HERE, RESULTS, parser_of, provenance, write_chart, write_results
+from experiments.common import HERE, add_result, parser_of, provenance, read_results
+from experiments.drawing import write_chart
 
 SHOWS = ("fig:runtime", "sec:SSS")
 TARGETS, TREE, PAIRS = "known targets", "chamfer, KD-tree", "chamfer, all pairs"
@@ -210,25 +210,22 @@ def ratios(rows: list[dict]) -> list[dict]:
 
 
 def main() -> None:
-    parser = parser_of("experiments runtime", __doc__)
-    parser.add_argument("--quick", action="store_true", help="small sizes; nothing is written")
+    parser = parser_of("experiments runtime", __doc__, "small sizes")
     parser.add_argument("--only", choices=SHOWS, help="one of the two; the other's last results stay")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
-    path = RESULTS / "runtime.json"
-    results = json.loads(path.read_text()) if path.exists() else {}
     if options.only != "fig:runtime":
-        results["sec:SSS"] = {**provenance(options), **decimations(70_000 if options.quick else 1_100_000)}
+        measured = decimations(70_000 if options.quick else 2_100_000)
+        add_result("runtime", ["sec:SSS"], {**provenance(options), **measured}, options)
     if options.only != "sec:SSS":
         rows = losses(5 if options.quick else 8, options.seed)
         gpu = torch.cuda.get_device_name() if torch.cuda.is_available() else None
-        results["fig:runtime"] = {**provenance(options), "gpu": gpu, "seconds": rows, "times_the_known_targets":
-                                  ratios(rows)}
+        add_result("runtime", ["fig:runtime"], {**provenance(options), "gpu": gpu, "seconds": rows,
+                                                "times_the_known_targets": ratios(rows)}, options)
         print(*ratios(rows), sep="\n")
-    if not options.quick:
-        write_results("runtime", results)
-        if len(results) == len(SHOWS):
-            print(draw(results["fig:runtime"]["seconds"], results["sec:SSS"]))
+    results = read_results("runtime")
+    if not options.quick and all(name in results for name in SHOWS):
+        print(draw(results["fig:runtime"]["seconds"], results["sec:SSS"]))
 
 
 if __name__ == "__main__":

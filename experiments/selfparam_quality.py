@@ -1,24 +1,25 @@
 """Quality of the self-parameterization: level-2 remeshes at 500 faces, as decimated and fitted (as `neusub.remesh` does
 by default), and the coarse triangles of the default pairs.
 
-    python -m experiments selfparam_quality ../shared/data
+    python -m experiments selfparam_quality DATA
+
+DATA is the folder that holds meshes/ and tosca/.
 
 Beside each number stands the authors' later C++ (libigl; quadric, one run).  Writes results/selfparam_quality.json.
 """
 
 from __future__ import annotations
 
-import argparse
 from itertools import product
 from pathlib import Path
 
 import numpy as np
 
 import neusub
-from experiments.common import TOSCA, provenance, write_results
+from experiments.common import TOSCA, parser_of, provenance, write_results
+from experiments.measures import remeshed, round_trip
 from neusub import Mesh, PairConfig, decimate
 from neusub.discretization import generator_of, in_unit_box, make_pair, summary
-from neusub.selfparam.parameterization import refinement
 from neusub.selfparam.report import map_report
 
 FACES, LEVELS, DRAWS, POINTS = 500, 2, 5, 100_000
@@ -41,8 +42,7 @@ def remesh_quality(mesh: Mesh, reference: tuple[float, float, float], strategy: 
     result = decimate(mesh, n_faces=FACES, strategy=strategy)
     if fit:
         result = result.fitted(LEVELS)
-    refined = refinement(result.faces, len(result.decimated), LEVELS)
-    fine = Mesh(result.points(*result.to_fine(refined.at, refined.barycentric)), refined.faces)
+    fine = remeshed(result, LEVELS)
     draws = [neusub.distance(fine, mesh, seed=seed) for seed in range(DRAWS)]
     report = map_report(result, LEVELS)
     numbers = {
@@ -54,27 +54,22 @@ def remesh_quality(mesh: Mesh, reference: tuple[float, float, float], strategy: 
         **vars(report.on_surface),
         "conformal_median": report.conformal_median,
         "conformal_high": report.conformal_high,
-        **round_trip(result),
+        **came_back(result),
         "refusals": report.refusals,
     }
     names = ("flipped_percent", "mean", "hausdorff")
     return {**numbers, "reference": dict(zip(names, reference))}
 
 
-def round_trip(result: neusub.SelfParameterization) -> dict:
+def came_back(result: neusub.SelfParameterization) -> dict:
     """Coarse -> fine -> coarse of random points, and whether fine points cover every coarse face."""
-    rng = np.random.default_rng(0)
-    faces, barycentric = rng.integers(0, len(result.faces), POINTS), rng.dirichlet([1, 1, 1], POINTS)
-    back_faces, back = result.to_coarse(*result.to_fine(faces, barycentric))
-    corners = result.decimated[result.faces]
-    moved = (barycentric[:, :, None] * corners[faces]).sum(1) - (back[:, :, None] * corners[back_faces]).sum(1)
-    error = np.linalg.norm(moved, axis=1) / np.linalg.norm(np.ptp(result.fine.vertices, axis=0))
-    down, _ = result.to_coarse(rng.integers(0, len(result.fine.faces), POINTS), barycentric)
+    error, rng = round_trip(result, POINTS), np.random.default_rng(1)
+    down, _ = result.to_coarse(rng.integers(0, len(result.fine.faces), POINTS), rng.dirichlet([1, 1, 1], POINTS))
     return {"round_trip_99.9": float(np.percentile(error, 99.9)), "round_trip_worst": float(error.max()),
             "coarse_faces_covered": len(np.unique(down)) / len(result.faces)}
 
 
-def pair_quality(mesh: Mesh, count: int = 40) -> dict:
+def pair_quality(mesh: Mesh, count: int) -> dict:
     """The report of default pairs: the paper's sizes, two levels."""
     fine, config = in_unit_box(mesh), PairConfig(per_mesh=count)
     made = [make_pair(fine, config, generator_of(0, "train", "0", k)) for k in range(count)]
@@ -83,20 +78,24 @@ def pair_quality(mesh: Mesh, count: int = 40) -> dict:
 
 
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
+    parser = parser_of("experiments selfparam_quality", __doc__, "one shape, 4 pairs")
     parser.add_argument("data", type=Path, help="the folder that holds meshes/ and tosca/")
     options = parser.parse_args()
-    meshes = {name: neusub.load(options.data / "meshes" / f"{name}.ply") for name in {*REFERENCE, *PAIRS}}
+    shapes, paired, count = REFERENCE, PAIRS, 40
+    if options.quick:
+        shapes, paired, count = dict(list(REFERENCE.items())[:1]), PAIRS[:1], 4
+    meshes = {name: neusub.load(options.data / "meshes" / f"{name}.ply") for name in {*shapes, *paired}}
     rows: dict = {}
     for strategy, fit in product(("quadric", "uniform"), (False, True)):
         kind = f"{strategy}, fitted" if fit else strategy
         rows[kind] = {}
-        for name, reference in REFERENCE.items():
+        for name, reference in shapes.items():
             rows[kind][name] = row = remesh_quality(meshes[name], reference, strategy, fit)
             print(kind, name, *(f"{row[key]:.5f} ({value})" for key, value in row["reference"].items()), flush=True)
-    pairs = {name: pair_quality(meshes[name]) for name in PAIRS}
+    pairs = {name: pair_quality(meshes[name], count) for name in paired}
     centaur = np.load(options.data / "tosca" / "centaur.npz")
-    pairs["tosca/centaur0"] = pair_quality(Mesh(centaur["V"][0].astype(np.float64), centaur["F"].astype(np.int64)))
+    pairs["tosca/centaur0"] = pair_quality(
+        Mesh(centaur["V"][0].astype(np.float64), centaur["F"].astype(np.int64)), count)
     for name, numbers in pairs.items():
         print(name, numbers, flush=True)
     write_results("selfparam_quality", {
@@ -106,7 +105,7 @@ def main() -> None:
         "pairs": pairs,
         "pairs_of_the_authors_elephant": {"quality_low": 0.215, "quality_median": 0.77, "area_variation": 0.58},
         "citation": TOSCA,
-    })
+    }, options)
 
 
 if __name__ == "__main__":

@@ -16,19 +16,11 @@ import sys
 import numpy as np
 
 import neusub
-from experiments.common import HERE, SCHEMES, parser_of, provenance, refined, score, write_results
+from experiments.common import HERE, parser_of, provenance, write_results
+from experiments.measures import FOLD, SCHEMES, angles, refined, score
 from neusub.metrics import face_normals
 
-FOLD = 120  # degrees
 TUBE = 0.4  # of the demo's ring, whose larger radius is 1
-
-
-def angles(mesh: neusub.Mesh) -> np.ndarray:
-    """Degrees between the normals of the two faces of each inner edge."""
-    normals = face_normals(mesh)
-    halfedges = mesh.topology.edge_halfedges[~mesh.topology.is_boundary_edge]
-    cosine = (normals[halfedges[:, 0] // 3] * normals[halfedges[:, 1] // 3]).sum(axis=1)
-    return np.degrees(np.arccos(np.clip(cosine, -1, 1)))
 
 
 def torus_at(points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -62,14 +54,14 @@ def numbers_of(mesh: neusub.Mesh, name: str, truth: neusub.Mesh | None) -> dict:
 
 
 def main() -> None:
-    options = parser_of("experiments smoothness", __doc__).parse_args()
+    options = parser_of("experiments smoothness", __doc__, "two of the meshes").parse_args()
     sys.path.insert(0, str(HERE.parent / "examples"))
     import demo
 
     fine = demo.blob()
     meshes = {**demo.low_poly_models(), "blob": demo.decimated_on_surface(fine, 400), "ring": demo.textured_ring()}
     rows: dict = {}
-    for name, levels in [*((name, 2) for name in meshes), ("ring", 3)]:
+    for name, levels in [(name, 2) for name in meshes][: 2 if options.quick else None] + [("ring", 3)]:
         mesh, truth = meshes[name], fine if name == "blob" else None
         results = {method: refined(mesh, method, levels)[-1] for method in (*SCHEMES, "elephant", "default")}
         row = name if levels == 2 else f"{name}, level {levels}"
@@ -77,7 +69,7 @@ def main() -> None:
         rows[row] |= {method: numbers_of(result, name, truth) for method, result in results.items()}
         for method, numbers in rows[row].items():
             print(f"{row:15s}{method:10s}", *(f"{key} {value:.4g}" for key, value in numbers.items()), flush=True)
-    write_results("smoothness", {**provenance(options), "meshes": rows})
+    write_results("smoothness", {**provenance(options), "meshes": rows}, options)
 
 
 if __name__ == "__main__":

@@ -14,7 +14,6 @@ that are there.  An interrupted call goes on where it was.
 
 from __future__ import annotations
 
-import json
 from argparse import Namespace
 from collections.abc import Iterator
 from dataclasses import replace
@@ -26,15 +25,17 @@ from numpy import ndarray
 
 import neusub
 from experiments.common import (
-    RESULTS,
     TOSCA,
+    add_result,
     parser_of,
     provenance,
+    read_results,
+    seeded,
     tosca_poses,
     training_scores,
-    write_results,
 )
-from experiments.smoothness import angles
+from experiments.measures import SCHEMES, angles, mean_of, percents
+from experiments.measures import refined as levels_of
 from experiments.sources import solid
 from neusub import PRESETS, PairConfig
 
@@ -57,7 +58,6 @@ HELD_OUT = {
     "man-made": ("manmade/common_fandisk.ply", "manmade/mlab_casting.ply", "manmade/ns_rocker_arm.ply",
                  "manmade/oded_plane.ply"),
 }
-SCHEMES = ("midpoint", "loop", "butterfly")
 COARSE, LEVELS, VALIDATION = 350, 2, 5
 CREASE = 50  # degrees between two faces of the coarse mesh, above which their edge counts as sharp
 
@@ -77,7 +77,7 @@ def files_of(name: str, options: Namespace) -> list[Path]:
 
 
 def folder_of(name: str, options: Namespace) -> Path:
-    return options.runs / "styles" / f"{name}-{options.pairs}" / f"{options.epochs}-epochs"
+    return options.runs / "styles" / seeded(f"{name}-{options.pairs}", options) / f"{options.epochs}-epochs"
 
 
 def trained(name: str, options: Namespace) -> tuple[neusub.Subdivider, dict]:
@@ -117,15 +117,7 @@ def sharp_coarse() -> dict[str, neusub.Mesh]:
 
 
 def refined(mesh: neusub.Mesh, method: str | neusub.Subdivider) -> neusub.Mesh:
-    if isinstance(method, neusub.Subdivider):
-        return method.subdivide(mesh, LEVELS)[-1]
-    return neusub.subdivide(mesh, method, LEVELS)[-1]  # type: ignore[arg-type]
-
-
-def percents(result: neusub.Mesh, reference: neusub.Mesh) -> dict[str, float]:
-    """H and M in percent of the reference's diagonal, and the mean angle between normals in degrees."""
-    d = neusub.distance(result, reference)
-    return {"H": d.percent(d.hausdorff), "M": d.percent(d.mean), "normals": d.normal_angle}
+    return levels_of(mesh, method, LEVELS)[-1]
 
 
 def crease_kept(coarse: neusub.Mesh, fine: neusub.Mesh) -> float:
@@ -163,10 +155,6 @@ def scores(method: str | neusub.Subdivider, options: Namespace) -> dict:
     return {**rows, "crease_kept_percent": {"mean": float(np.mean(list(kept.values()))), **kept}}
 
 
-def mean_of(rows: dict[str, dict]) -> dict:
-    return {key: float(np.mean([row[key] for row in rows.values()])) for key in next(iter(rows.values()))}
-
-
 def unseen_poses(options: Namespace) -> Iterator[tuple[str, neusub.Mesh, neusub.Mesh]]:
     """Poses of the centaur but the first, as `held_out`."""
     for pose, fine in list(tosca_poses(options.tosca, "centaur").items())[1 : 2 if options.quick else None]:
@@ -185,11 +173,6 @@ def pose_scores(methods: dict, options: Namespace) -> dict:
 # --- the whole ---------------------------------------------------------------------------------------------------
 
 
-def read_rows() -> dict:
-    file = RESULTS / "styles.json"
-    return json.loads(file.read_text()) if file.exists() else {"baselines": {}, "trainings": {}}
-
-
 def earlier_models(rows: dict, options: Namespace) -> dict[str, neusub.Subdivider]:
     """Those of finished trainings of the same size."""
     size = options.pairs, options.epochs
@@ -199,20 +182,20 @@ def earlier_models(rows: dict, options: Namespace) -> dict[str, neusub.Subdivide
 
 
 def main() -> None:
-    parser = parser_of("experiments styles", __doc__)
+    parser = parser_of("experiments styles", __doc__, "8 pairs, 5 epochs, fewer shapes")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--tosca", type=Path, help="for the training `pose`")
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=700)
     parser.add_argument("--only", nargs="+", choices=tuple(TRAININGS), help="trainings; all by default")
-    parser.add_argument("--quick", action="store_true", help="8 pairs, 5 epochs, fewer shapes; nothing is written")
     options = parser.parse_args()
     if options.quick:
         options.pairs, options.epochs = 8, 5
     names = options.only or [name for name in TRAININGS if name != "pose" or options.tosca]
-    numbers, models = read_rows(), {}
+    models = {}
     if not options.quick and not options.only:
-        numbers["baselines"] = {**provenance(options), **{scheme: scores(scheme, options) for scheme in SCHEMES}}
+        schemes = {**provenance(options), **{scheme: scores(scheme, options) for scheme in SCHEMES}}
+        add_result("styles", ["baselines"], schemes, options)
     for name in names:
         models[name], how = trained(name, options)
         row = {**provenance(options), **how, "held_out": scores(models[name], options)}
@@ -220,13 +203,11 @@ def main() -> None:
             row["unseen_poses"] = pose_scores({**{scheme: scheme for scheme in SCHEMES}, "network": models[name]},
                                               options)
         show(name, row)
-        numbers["trainings"][name] = row
-        if not options.quick:
-            write_results("styles", numbers)
+        add_result("styles", ["trainings", name], row, options)
     if not options.quick:
         from experiments.styles_pictures import draw
 
-        draw(models | earlier_models(numbers["trainings"], options), options)
+        draw(models | earlier_models(read_results("styles")["trainings"], options), options)
 
 
 def show(name: str, row: dict) -> None:

@@ -1,4 +1,4 @@
-"""The pictures of `styles.py`, in the paper's colours: training shapes green, coarse meshes grey, results blue."""
+"""The pictures of `styles.py`, for docs/reproduction."""
 
 from __future__ import annotations
 
@@ -8,11 +8,10 @@ from pathlib import Path
 
 import numpy as np
 from numpy import ndarray
-from PIL import Image
 
 import neusub
-from experiments.gallery_pictures import BACK, BLUE, FRONT, GREEN, GREY, SIDE, shaded
-from experiments.parameterization_pictures import titled, write
+from experiments.common import tosca_poses
+from experiments.drawing import BACK, BLUE, FRONT, GREEN, GREY, SIDE, blank, shaded, titled, write_panels
 from experiments.styles import (
     BLUB,
     BOAT,
@@ -32,8 +31,6 @@ from experiments.styles import (
 
 CAMERAS = {SPOT: BACK, FISH: SIDE, BLUB: SIDE, HAND: FRONT, WINGNUT: FRONT, HAMMER: FRONT, BOAT: FRONT,
            SWORD: FRONT}
-
-
 STYLES = {"spot": "one smooth shape", "wingnut": "one sharp shape", "organic": "four smooth ones",
           "mechanical": "four man-made ones"}
 MORE = {"spot": "one training shape", "two": "two", "four": "four"}
@@ -50,10 +47,6 @@ def draw(models: dict[str, neusub.Subdivider], options: Namespace) -> None:
         print(draw_more(models, options.meshes))
     if "pose" in names and options.tosca:
         print(draw_poses(models["pose"], options))
-
-
-def blank(size: tuple[int, int]) -> ndarray:
-    return np.full((size[1], size[0], 3), 255, np.uint8)
 
 
 def training_panel(folder: Path, shapes: Sequence[str], size: tuple[int, int]) -> ndarray:
@@ -74,7 +67,7 @@ def draw_styles(models: dict[str, neusub.Subdivider], folder: Path) -> Path:
     for mesh, camera in inputs:
         rows.append([shaded(mesh, GREY, size, camera, edges=True)])
         rows[-1] += [shaded(refined(mesh, models[name]), BLUE, size, camera, frame=mesh) for name in names]
-    return write("styles", rows)
+    return write_panels("styles", rows)
 
 
 def draw_single(model: neusub.Subdivider, folder: Path) -> Path:
@@ -84,7 +77,7 @@ def draw_single(model: neusub.Subdivider, folder: Path) -> Path:
              (BOAT, FRONT)]
     meshes = [(held_out(folder, name)[1], camera) for name, camera in shown]
     spot, results = neusub.load(folder / SPOT), [refined(mesh, model) for mesh, _ in meshes]
-    return write("single_shape", [
+    return write_panels("single_shape", [
         [shaded(spot, GREEN, size, BACK), *(shaded(mesh, GREY, size, camera, edges=True) for mesh, camera in meshes)],
         [titled(shaded(spot, GREEN, size, FRONT), "the training shape"),
          *(titled(shaded(result, BLUE, size, camera), "level 2") for result, (_, camera) in zip(results, meshes))],
@@ -99,19 +92,18 @@ def draw_more(models: dict[str, neusub.Subdivider], folder: Path) -> Path:
     for mesh in (held_out(folder, HELD_OUT["organic"][0])[1], sharp_coarse()["solid 2"]):
         rows.append([shaded(mesh, GREY, size, FRONT, edges=True)])
         rows[-1] += [shaded(refined(mesh, models[name]), BLUE, size, FRONT, frame=mesh) for name in names]
-    return write("more_shapes", rows)
+    return write_panels("more_shapes", rows)
 
 
 def draw_poses(model: neusub.Subdivider, options: Namespace) -> Path:
-    """fig:poses, among the runs: TOSCA's shapes are for academic use."""
-    size, rows = (300, 360), [[], []]  # type: ignore[var-annotated]
+    """fig:poses."""
+    size, trained = (230, 280), turned_up(tosca_poses(options.tosca, "centaur")[0])
+    rows = [[titled(shaded(trained, GREEN, size), "the training shape")], [titled(blank(size), "")]]
     for _, _, coarse in unseen_poses(options):
         mesh = turned_up(coarse)
-        rows[0].append(shaded(mesh, GREY, size, FRONT, edges=True))
-        rows[1].append(shaded(refined(mesh, model), BLUE, size, FRONT))
-    path = options.runs / "styles" / "poses.png"
-    Image.fromarray(np.concatenate([np.concatenate(row, axis=1) for row in rows])).save(path)
-    return path
+        rows[0].append(titled(shaded(mesh, GREY, size, edges=True), f"{len(mesh.vertices)} vertices"))
+        rows[1].append(titled(shaded(refined(mesh, model), BLUE, size, frame=mesh), "level 2"))
+    return write_panels("poses", rows)
 
 
 def turned_up(mesh: neusub.Mesh) -> neusub.Mesh:

@@ -32,18 +32,18 @@ import numpy as np
 
 import neusub
 from experiments.common import (
-    RESULTS,
     TOSCA,
+    add_result,
     fixed_inputs,
     fixed_reference,
     parser_of,
     provenance,
-    score,
+    seeded,
     show,
     tosca_poses,
     training_scores,
-    write_results,
 )
+from experiments.measures import KINDS, SCHEMES, mean_of, refined, score
 from experiments.sources import bent, stretched
 from neusub import PRESETS, PairConfig, make_pairs, train
 from neusub.generation import read_header
@@ -54,8 +54,7 @@ VERTICES = 150, 300  # the paper's
 COPIES = 3  # of each pose, where they are varied
 PARTS = {"top": ("centaur",), "bottom": ("centaur", "david", "horse")}
 CATEGORIES = ("cat", "centaur", "david", "dog", "gorilla", "horse", "michael", "victoria", "wolf")
-KINDS = ("on_surface", "decimated")
-METHODS = ("midpoint", "loop", "butterfly", "network")
+METHODS = (*SCHEMES, "network")
 PAPER = {"top": {"M": {"butterfly": 0.806, "loop": 0.274}, "H": {"butterfly": 0.866, "loop": 0.623}},
          "bottom": {"M": {"butterfly": 0.751, "loop": 0.261}, "H": {"butterfly": 0.886, "loop": 0.623}}}
 
@@ -83,8 +82,8 @@ def trained(part: str, options: argparse.Namespace) -> tuple[TrainingResult, dic
     quick, strategies = options.quick, ("random", "quadric") if options.varied else ("random",)
     training, validation = (20, 6) if quick else (200, 20)
     sizes = "" if options.vertices == VERTICES else "-{}-{}".format(*options.vertices)
-    seed = f"-seed{options.seed}" if options.seed else ""
-    folder = options.runs / "table2" / f"{part}{sizes}{'-varied' * options.varied}{seed}{'-quick' * quick}"
+    name = seeded(f"{part}{sizes}{'-varied' * options.varied}", options)
+    folder = options.runs / "table2" / f"{name}{'-quick' * quick}"
     sources, reports = sources_of(part, options), []
     for strategy in strategies:
         config = PairConfig(total=training // len(strategies), validation=validation // len(strategies),
@@ -118,12 +117,6 @@ def test_inputs(options: argparse.Namespace, category: str) -> Iterator[tuple[ne
         yield poses[pose], {"on_surface": result.on_surface, "decimated": result.coarse}
 
 
-def refined(mesh: neusub.Mesh, method: str, model: neusub.Subdivider) -> neusub.Mesh:
-    if method == "network":
-        return model.subdivide(mesh, 2)[-1]
-    return neusub.subdivide(mesh, method, 2)[-1]  # type: ignore[arg-type]
-
-
 def table(options: argparse.Namespace, categories: list[str], model: neusub.Subdivider) -> dict:
     """H and M of each kind and method: the categories' means over their shapes, and the mean of those."""
     rows: dict = {kind: {method: {} for method in METHODS} for kind in KINDS}
@@ -131,7 +124,7 @@ def table(options: argparse.Namespace, categories: list[str], model: neusub.Subd
         scores: dict = {(kind, method): [] for kind in KINDS for method in METHODS}
         for reference, inputs in test_inputs(options, category):
             for kind, method in scores:
-                scores[kind, method].append(score(refined(inputs[kind], method, model), reference))
+                scores[kind, method].append(score(by(method, model, inputs[kind]), reference))
         for (kind, method), values in scores.items():
             h, m = np.mean(values, axis=0)
             rows[kind][method][category] = {"H": float(h), "M": float(m), "shapes": len(values)}
@@ -140,9 +133,13 @@ def table(options: argparse.Namespace, categories: list[str], model: neusub.Subd
     return {kind: {method: averaged(rows[kind][method]) for method in METHODS} for kind in KINDS}
 
 
+def by(method: str, model: neusub.Subdivider, mesh: neusub.Mesh) -> neusub.Mesh:
+    return refined(mesh, model if method == "network" else method)[-1]
+
+
 def averaged(categories: dict[str, dict]) -> dict:
-    means = {key: float(np.mean([row[key] for row in categories.values()])) for key in ("H", "M")}
-    return {**means, "categories": categories}
+    means = mean_of(categories)
+    return {"H": means["H"], "M": means["M"], "categories": categories}
 
 
 def fixed_table(options: argparse.Namespace, model: neusub.Subdivider) -> dict:
@@ -153,7 +150,7 @@ def fixed_table(options: argparse.Namespace, model: neusub.Subdivider) -> dict:
         for name, mesh in fixed_inputs(options.inputs, kind).items():
             reference = fixed_reference(options.tosca, name)
             for method in METHODS:
-                h, m = score(refined(mesh, method, model), reference, range(5))
+                h, m = score(by(method, model, mesh), reference, range(5))
                 rows[method][name] = {"H": h, "M": m}
         out[kind] = {method: averaged(rows[method]) for method in METHODS}
     return out
@@ -175,12 +172,11 @@ def name_of(options: argparse.Namespace) -> str:
     if options.vertices != VERTICES:
         name += ", {} to {} vertices".format(*options.vertices)
     name += ", varied" * options.varied + ", by area" * (options.weighting == "areas")
-    name += ", bounded" * options.bounded + ", seen" * options.seen
-    return name + (f", seed {options.seed}" if options.seed else "")
+    return name + ", bounded" * options.bounded + ", seen" * options.seen
 
 
 def main() -> None:
-    parser = parser_of("experiments table2", __doc__)
+    parser = parser_of("experiments table2", __doc__, "20 pairs, 5 epochs, one pose a category")
     parser.add_argument("tosca", type=Path)
     parser.add_argument("--inputs", type=Path, help="tosca8_coarse.npz, the eight fixed inputs")
     parser.add_argument("--part", choices=tuple(PARTS), default="top")
@@ -193,7 +189,6 @@ def main() -> None:
     parser.add_argument("--weighting", choices=("vertices", "areas"), default="vertices", help="of errors in the loss")
     parser.add_argument("--bounded", action="store_true", help="displacements as in use; the paper bounds none")
     parser.add_argument("--seen", action="store_true", help="score the categories of the training, not the others")
-    parser.add_argument("--quick", action="store_true", help="20 pairs, 5 epochs, one pose a category; not written")
     options = parser.parse_args()
     if options.quick:
         options.epochs = 5
@@ -205,10 +200,7 @@ def main() -> None:
     if options.inputs:
         part["fixed_inputs"] = fixed_table(options, result.model)
     print(json.dumps({"ratios": part["ratios"], "paper": PAPER[options.part]}, indent=1))
-    if not options.quick:
-        path = RESULTS / "table2.json"
-        known = json.loads(path.read_text()) if path.exists() else {"citation": TOSCA}
-        write_results("table2", {**known, name_of(options): part})
+    add_result("table2", [name_of(options)], part, options)
 
 
 if __name__ == "__main__":

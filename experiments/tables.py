@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.common import HERE, parser_of
+from experiments.common import HERE
 
 ROOT = HERE.parent
 LABELS = {"loop": "Loop", "elephant": "`elephant`", "default": "`default`",
@@ -254,7 +254,6 @@ def pages() -> list[Path]:
 
 
 def main() -> None:
-    parser_of("experiments tables", __doc__).parse_args()
     for page in pages():
         old = page.read_text()
         new = renewed(old)

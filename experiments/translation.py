@@ -22,9 +22,9 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 import neusub
-from experiments.common import parser_of, provenance, write_picture, write_results
-from experiments.parameterization_pictures import OTHER, titled
-from experiments.variants import NETWORKS, Fit, fit, panel, refined
+from experiments.common import parser_of, provenance, seeded, write_results
+from experiments.drawing import BACK, UP, panel, titled, write_picture
+from experiments.variants import NETWORKS, Fit, fit, refined
 from neusub import PairConfig, TrainingConfig
 from neusub.generation import Batch, Pair, batch_pairs, load_pairs
 from neusub.map_pictures import View
@@ -40,8 +40,8 @@ TURN, SHIFT = 90, 1  # of the picture
 
 def one_pair(options: argparse.Namespace) -> Pair:
     config = PairConfig(total=1, vertices=(250, 250), seed=options.seed)
-    report = neusub.make_pairs([options.meshes / SOURCE], options.runs / "translation" / "pairs", config,
-                               workers=options.threads, strict=True)
+    folder = options.runs / "translation" / seeded("pairs", options)
+    report = neusub.make_pairs([options.meshes / SOURCE], folder, config, workers=options.threads, strict=True)
     return load_pairs(report.train[0])[0]
 
 
@@ -75,9 +75,9 @@ def draw(results: dict[str, Fit], pair: Pair, batch: Batch, rows: dict) -> Path:
         for where, (turn, shift) in motions.items():
             mesh = refined(results[name].network, pair, batch.positions @ turn.T + shift, batch)[-1]
             back = mesh.replace_vertices((mesh.vertices - shift.numpy()) @ turn.numpy())
-            view = View(neusub.Mesh(pair.targets.astype(float), back.faces), (250, 270), OTHER, (0, 1, 0))
+            view = View(neusub.Mesh(pair.targets.astype(float), back.faces), (250, 270), BACK, UP)
             words = f"{title}: {where}" if where == "as trained" else where
-            line.append(titled(panel(back, view, wireframe=False), words))
+            line.append(titled(panel(back, view), words))
         shown.append(np.concatenate(line, axis=1))
     meshes = Image.fromarray(np.concatenate(shown))
     chart = charts(rows, meshes.width)
@@ -106,10 +106,9 @@ def charts(rows: dict, width: int) -> Image.Image:
 
 
 def main() -> None:
-    parser = parser_of("experiments translation", __doc__)
+    parser = parser_of("experiments translation", __doc__, "50 epochs")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--epochs", type=int, default=600, help="of one step each")
-    parser.add_argument("--quick", action="store_true", help="50 epochs; nothing is written")
     options = parser.parse_args()
     pair = one_pair(options)
     batch = batch_pairs([pair])
@@ -122,13 +121,12 @@ def main() -> None:
                       "angle": [[a, error(result, batch, *motion(angle=a))] for a in ANGLES],
                       "shift": [[s, error(result, batch, *motion(shift=s))] for s in SHIFTS]}
         print(name, json.dumps(rows[name]), flush=True)
-    if options.quick:
-        return
-    print(draw(results, pair, batch, rows))
+    if not options.quick:
+        print(draw(results, pair, batch, rows))
     write_results("translation", {**provenance(options), "source": SOURCE, "vertices": pair.level_sizes[0],
                                   "epochs": config.epochs,
                                   "midpoint_percent_of_the_diagonal": midpoint_error(pair),
-                                  "mean_error_percent_of_the_diagonal": rows})
+                                  "mean_error_percent_of_the_diagonal": rows}, options)
 
 
 if __name__ == "__main__":

@@ -28,9 +28,11 @@ from numpy import ndarray
 from scipy.spatial import cKDTree
 
 import neusub
-from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, score, write_results
-from experiments.parameterization_pictures import CLAY, titled, write
-from neusub.map_pictures import Surface, View, surface_picture
+from experiments import measures
+from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, write_results
+from experiments.drawing import BACK, UP, panel, titled, write_panels
+from experiments.measures import mean_of, score
+from neusub.map_pictures import View
 from neusub.metrics import sample_surface
 from neusub.topology import connected_components
 
@@ -130,9 +132,7 @@ def refined(mesh: neusub.Mesh, method: str) -> neusub.Mesh:
         points = SAMPLERS[method](mesh)
         normals = true_normals(mesh) if method.endswith("true normals") else oriented_normals(points)
         return reconstructed(*upsampled(points, normals))
-    if method == "butterfly":
-        return neusub.subdivide(mesh, "butterfly", LEVELS)[-1]
-    return neusub.subdivide(mesh, "neural", LEVELS, model=method)[-1]
+    return measures.refined(mesh, method, LEVELS)[-1]
 
 
 # --- what is measured --------------------------------------------------------------------------------------------
@@ -158,11 +158,7 @@ def table(options: argparse.Namespace, names: list[str]) -> dict:
         for method in rows:
             rows[method][name] = numbers_of(meshes[name], method, reference)
             print(name, method, *(f"{key} {value:.4g}" for key, value in rows[method][name].items()), flush=True)
-    return {method: {**averaged(shapes), "shapes": shapes} for method, shapes in rows.items()}
-
-
-def averaged(shapes: dict[str, dict]) -> dict:
-    return {key: float(np.mean([row[key] for row in shapes.values()])) for key in next(iter(shapes.values()))}
+    return {method: {**mean_of(shapes), "shapes": shapes} for method, shapes in rows.items()}
 
 
 # --- the picture -------------------------------------------------------------------------------------------------
@@ -171,24 +167,18 @@ def averaged(shapes: dict[str, dict]) -> dict:
 def draw(folder: Path) -> Path:
     fine = neusub.load(folder / DRAWN)
     coarse = neusub.decimate(fine, n_vertices=COARSE).on_surface
-    view = View(fine, (330, 350), (0.9, 0.45, -1.2), (0, 1, 0))
+    view = View(fine, (330, 350), BACK, UP)
     titles = {"elephant": "network, two levels", **{method: method for method in SAMPLERS}}
-    panels = [titled(picture(coarse, view, True), f"coarse, {len(coarse.vertices)} vertices")]
-    panels += [titled(picture(refined(coarse, method), view, False), title) for method, title in titles.items()]
-    return write("upsampling", [panels[:3], panels[3:]])
-
-
-def picture(mesh: neusub.Mesh, view: View, wireframe: bool) -> ndarray:
-    colors = np.full(mesh.faces.shape, CLAY, np.uint8)
-    return surface_picture(Surface(mesh.vertices, mesh.faces, colors), view, wireframe=wireframe)
+    panels = [titled(panel(coarse, view, edges=True), f"coarse, {len(coarse.vertices)} vertices")]
+    panels += [titled(panel(refined(coarse, method), view), title) for method, title in titles.items()]
+    return write_panels("upsampling", [panels[:3], panels[3:]])
 
 
 def main() -> None:
-    parser = parser_of("experiments upsampling", __doc__)
+    parser = parser_of("experiments upsampling", __doc__, "two shapes")
     parser.add_argument("tosca", type=Path)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--inputs", type=Path, required=True, help="tosca8_coarse.npz, the eight fixed inputs")
-    parser.add_argument("--quick", action="store_true", help="two shapes; nothing is written")
     options = parser.parse_args()
     torch.set_num_threads(options.threads)
     meshes = fixed_inputs(options.inputs, "on_surface")
@@ -200,8 +190,8 @@ def main() -> None:
     print("percent of the normals at the coarse vertices on the right side", right)
     if not options.quick:
         print(draw(options.meshes))
-        write_results("upsampling", {"citation": TOSCA, **provenance(options), "methods": rows,
-                                     "normals_on_the_right_side_percent": right})
+    write_results("upsampling", {"citation": TOSCA, **provenance(options), "methods": rows,
+                                 "normals_on_the_right_side_percent": right}, options)
 
 
 if __name__ == "__main__":

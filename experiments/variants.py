@@ -25,12 +25,10 @@ from neusub.files import replacing
 from neusub.flaps import FlapGroups, gather_corners, pool, sum_slots
 from neusub.frames import cross, edge_vectors, in_frames, local_frames, root, sizes, squared_lengths
 from neusub.generation import Batch, Pair
-from neusub.map_pictures import Surface, View, surface_picture
 from neusub.network import HalfFlapMLP, NeuralSubdivision, Values
 from neusub.recording import Recorder, copy_to
 from neusub.training import epoch_order, make_recordable, set_rate
 
-CLAY = (223, 227, 234)
 KEPT_EVERY = 10  # epochs
 
 # --- modules -----------------------------------------------------------------------------------------------------
@@ -319,9 +317,3 @@ def refined(model: NeuralSubdivision, pair: Pair, positions: Tensor, batch: Batc
         outputs = model(positions, batch.levels)
     faces = [*(topology.faces for topology in topologies), last]
     return [Mesh(out.double().numpy(), f) for out, f in zip(outputs, faces)]
-
-
-def panel(mesh: Mesh, view: View, colors: ndarray | None = None, wireframe: bool = True) -> ndarray:
-    """A picture of a mesh in clay, or in the colours of its faces."""
-    painted = np.full(mesh.faces.shape, CLAY, np.uint8) if colors is None else colors
-    return surface_picture(Surface(mesh.vertices, mesh.faces, painted), view, wireframe=wireframe)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import neusub
-from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
+from experiments.common import HERE, parser_of, provenance, seeded, ship, show, training_scores, write_results
 from experiments.sources import solid
 from neusub import PRESETS, PairConfig
 
@@ -48,23 +48,24 @@ def sources_of(name: str, meshes: Path, folder: Path) -> tuple[list[Path], list[
 
 
 def main() -> None:
-    parser = parser_of("experiments weights", __doc__)
+    parser = parser_of("experiments weights", __doc__, "16 pairs, two epochs; not shipped")
     parser.add_argument("meshes", type=Path)
     parser.add_argument("name", choices=tuple(MODELS))
     parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
     options = parser.parse_args()
-    folder = options.runs / "weights" / options.name
+    folder = options.runs / "weights" / seeded(f"{options.name}{'-quick' * options.quick}", options)
+    total, validation, epochs = (16, 2, 2) if options.quick else (200, 24, 250)
     (folder / "sources").mkdir(parents=True, exist_ok=True)
     files, entries = sources_of(options.name, options.meshes, folder / "sources")
     licence = "; ".join(sorted({entry["licence"] for entry in entries}))
-    report = neusub.make_pairs(files, folder / "pairs", PairConfig(total=200, validation=24, seed=options.seed),
-                               workers=options.threads, strict=True, licence=licence)
-    config = replace(PRESETS["paper"], batch=2, schedule="cosine", epochs=250, seed=options.seed,
+    plan = PairConfig(total=total, validation=validation, seed=options.seed)
+    report = neusub.make_pairs(files, folder / "pairs", plan, workers=options.threads, strict=True, licence=licence)
+    config = replace(PRESETS["paper"], batch=2, schedule="cosine", epochs=epochs, seed=options.seed,
                      threads=options.threads)
     result = neusub.train(report.train, report.validation, folder / "run", config, resume=True, on_epoch=show)
     origin = provenance(options)
-    write_results(f"weights-{options.name}", {**origin, **training_scores(result)})
-    if options.ship:
+    write_results(f"weights-{options.name}", {**origin, **training_scores(result)}, options)
+    if options.ship and not options.quick:
         result.model.card["sources"] = entries
         ship(options.name, origin["command"], MODELS[options.name][0], result)
 

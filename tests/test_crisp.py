@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 import torch
-from experiments.smoothness import angles
+from experiments.measures import angles
 
 import shapes
 from neusub import crisp, flaps

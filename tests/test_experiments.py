@@ -9,9 +9,10 @@ import numpy as np
 import pytest
 import torch
 from experiments import sources, tables, variants
-from experiments.__main__ import names
+from experiments.__main__ import experiments, summary
 from experiments.analytic import even_pairs
-from experiments.common import HERE, volume
+from experiments.common import HERE, add_result, parser_of, read_results, write_results
+from experiments.measures import volume
 from scipy.optimize import least_squares
 
 import shapes
@@ -22,8 +23,29 @@ from test_training import loop_pair
 
 
 def test_every_experiment_is_listed():
-    assert {"table2", "fixed_inputs", "default", "robustness", "manmade"} <= set(names())
-    assert not {"common", "sources", "analytic"} & set(names())
+    known = experiments()
+    assert {"table2", "fixed_inputs", "default", "robustness", "manmade"} <= set(known)
+    assert not {"common", "sources", "analytic"} & set(known)
+    assert summary(known["table2"]).endswith("all the others.  [tab:quantitative]")
+
+
+@pytest.mark.parametrize("name", sorted(set(experiments()) - {"tables", "readme_pictures"}))
+def test_every_experiment_has_a_quick_run(name, monkeypatch, capsys):
+    monkeypatch.setattr("sys.argv", [name, "--help"])
+    with pytest.raises(SystemExit, match="0"):
+        importlib.import_module(f"experiments.{name}").main()
+    assert "--quick" in capsys.readouterr().out
+
+
+def test_results_are_added_to_and_kept_apart_by_seed(tmp_path, monkeypatch):
+    monkeypatch.setattr("experiments.common.RESULTS", tmp_path)
+    parser = parser_of("experiments x", "", "less")
+    for words in ([], ["--seed", "1"], ["--seed", "2", "--quick"]):
+        options = parser.parse_args(words)
+        add_result("sums", ["of", "two"], {"is": options.seed}, options)
+        write_results("whole", {"is": options.seed}, options)
+    assert read_results("sums") == {"of": {"two": {"is": 0}, "two, seed 1": {"is": 1}}}
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["sums.json", "whole-seed1.json", "whole.json"]
 
 
 @pytest.mark.parametrize("path", sorted(path for folder in ("experiments", "benchmarks", "examples")
