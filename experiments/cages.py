@@ -2,7 +2,8 @@
 
     python -m experiments cages MESHES
 
-MESHES holds INDEX.csv; taken are the manifold meshes of its group `lowpoly`, two levels.  Turned: level-2 triangles
+MESHES holds INDEX.csv; taken are the manifold meshes of its group `lowpoly`, one of the two of spot's cage, two levels.
+Turned: level-2 triangles
 whose normal is more than 90 degrees from that of the cage's face that they come from.  Crossing: pairs of the cage's
 faces of which pieces cross (exactly, by CGAL) that no pieces of the midpoint refinement cross of.
 Writes results/cages.json and, of each cage and its refinement by `default` with uncross,
@@ -18,11 +19,12 @@ import numpy as np
 
 import neusub
 from experiments.common import parser_of, provenance, write_results
-from experiments.drawing import BLUE, GREY, blank, shaded, titled, write_panels
+from experiments.drawing import BLUE, GREY, blank, shaded, titled, upright, write_panels
 from experiments.measures import SCHEMES, is_turned, refined
 from neusub.crossing import crossing_pairs, uncrossed
 
 LEVELS = 2
+AGAIN = "spot_control_mesh_uv"  # the same vertices as oded_spot_control_mesh
 UNCROSS = ", uncross"
 METHODS = (*SCHEMES[1:], "elephant", "default", "default" + UNCROSS)
 COLUMNS, PANEL = 4, (170, 150)
@@ -30,7 +32,8 @@ COLUMNS, PANEL = 4, (170, 150)
 
 def cages(folder: Path) -> dict[str, neusub.Mesh]:
     with (folder / "INDEX.csv").open(newline="") as file:
-        rows = [row for row in csv.DictReader(file) if row["group"] == "lowpoly" and row["manifold"] == "True"]
+        rows = [row for row in csv.DictReader(file)
+                if row["group"] == "lowpoly" and row["manifold"] == "True" and row["name"] != AGAIN]
     return {row["name"]: neusub.load(folder / row["file"]) for row in rows}
 
 
@@ -53,13 +56,18 @@ def rows_of(cage: neusub.Mesh) -> dict[str, dict[str, int]]:
     return {method: numbers_of(cage, method, allowed) for method in METHODS}
 
 
+def title_of(name: str) -> str:
+    """Without the collection that a mesh is from."""
+    return " ".join(word for word in name.split("_")[1:] if word not in ("coarse", "control", "mesh"))
+
+
 def draw(meshes: dict[str, neusub.Mesh]) -> Path:
     panels = []
     for name, cage in meshes.items():
-        bare = neusub.Mesh(cage.vertices, cage.faces)
+        bare = upright(cage, name)
         fine = uncrossed(bare, refined(bare, "default", LEVELS))[-1]
         pair = [shaded(bare, GREY, PANEL, edges=True), shaded(fine, BLUE, PANEL, frame=bare)]
-        panels.append(titled(np.concatenate(pair, axis=1), name))
+        panels.append(titled(np.concatenate(pair, axis=1), title_of(name)))
     panels += [blank(panels[0].shape[1::-1])] * (-len(panels) % COLUMNS)
     return write_panels("cages", [panels[k : k + COLUMNS] for k in range(0, len(panels), COLUMNS)])
 

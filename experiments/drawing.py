@@ -25,6 +25,18 @@ GREEN, GREY, BLUE, SAND = (150, 200, 140), (214, 214, 214), (150, 190, 230), (23
 CLAY, RED = (223, 227, 234), (220, 50, 40)
 FRONT, BACK, SIDE = (0.9, 0.45, 1.2), (0.9, 0.45, -1.2), (1.0, 0.3, 0.4)  # most shapes look along z, some along -z
 UP, TITLE = (0, 1, 0), 26
+TURNS = {  # axes and their signs that bring a mesh of the folder to stand upright and look along z
+    **dict.fromkeys(("oded_spot_control_mesh", "ns_coarse_spot", "quat_red_fox"), ([0, 1, 2], [-1, 1, -1])),
+    "quat_wolf": ([2, 1, 0], [-1, 1, 1]),
+    "ns_coarse_bunny": ([0, 2, 1], [1, 1, -1]),
+    "gc_fox": ([1, 2, 0], [1, 1, 1]),
+}
+
+
+def upright(mesh: Mesh, name: str) -> Mesh:
+    """The bare mesh, turned for the pictures."""
+    axes, signs = TURNS.get(name, ([0, 1, 2], [1, 1, 1]))
+    return Mesh(mesh.vertices[:, axes] * signs, mesh.faces)
 
 
 def panel(mesh: Mesh, view: View, color: tuple | ndarray = CLAY, *, edges: bool = False) -> ndarray:

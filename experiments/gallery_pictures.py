@@ -23,6 +23,7 @@ from experiments.gallery import (
     MODELS,
     ROCKER,
     SKULL,
+    TEASER,
     artist_mesh,
     baked,
     decimated,
@@ -37,7 +38,7 @@ from neusub.map_pictures import Surface, View, coloured_fine, edge_images, face_
 from neusub.selfparam.parameterization import refinement
 
 NAMES = {"loop": "Loop", **{name: name for name in ("butterfly", *MODELS)}}
-COLORS = {**dict.fromkeys(SCHEMES, SAND), **dict.fromkeys(MODELS, BLUE)}
+COLORS = {**dict.fromkeys(SCHEMES, SAND), **dict.fromkeys(TEASER[len(SCHEMES):], BLUE)}
 
 
 def draw_all(folder: Path) -> None:
@@ -48,15 +49,15 @@ def draw_all(folder: Path) -> None:
 
 def draw_teaser(folder: Path) -> Path:
     """fig:teaser: reference and coarse mesh, then each method with its mean distance."""
-    pair, size = decimated(folder, ROCKER), (360, 230)
+    pair, size = decimated(folder, ROCKER), (300, 190)
     coarse = pair.on_surface
     panels = [titled(shaded(pair.fine, GREEN, size), "reference"),
               titled(shaded(coarse, GREY, size, frame=pair.fine, edges=True), f"coarse, {COARSE} vertices")]
-    for method in (*SCHEMES[1:], *MODELS):
+    for method in TEASER:
         result = refined(coarse, method)
-        title = f"{NAMES[method]}, M {percents(result, pair.fine)['M']:.3f} %"
+        title = f"{NAMES.get(method, method)}, M {percents(result, pair.fine)['M']:.3f} %"
         panels.append(titled(shaded(result, COLORS[method], size, frame=pair.fine), title))
-    return write_panels("teaser", [panels[:3], panels[3:]])
+    return write_panels("teaser", [panels[:4], panels[4:]])
 
 
 def draw_levels(folder: Path) -> Path:

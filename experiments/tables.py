@@ -18,7 +18,7 @@ import numpy as np
 from experiments.common import HERE
 
 ROOT = HERE.parent
-LABELS = {"loop": "Loop", "elephant": "`elephant`", "default": "`default`",
+LABELS = {"loop": "Loop", "bunny": "`bunny`", "elephant": "`elephant`", "default": "`default`",
           "default, uncross": "`default`, crossings taken back"}
 ALL = ("midpoint", "loop", "butterfly", "elephant", "default")
 MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
@@ -53,12 +53,13 @@ def fixed_inputs() -> str:
 
 def teaser() -> str:
     data = results("gallery")["fig:teaser"]
-    rows = [["vertices on the surface", *(hm(data["on_surface"][m]) for m in ALL)]]
+    methods = tuple(data["on_surface"])
+    rows = [["vertices on the surface", *(hm(data["on_surface"][m]) for m in methods)]]
     for shape in data["on_surface"]["loop"]["shapes"]:
         name = {"oded_bunny_hr": "bunny", "ns_rocker_arm": "rocker arm"}.get(shape, shape.split("_")[-1])
-        rows.append([name, *(hm(data["on_surface"][m]["shapes"][shape]) for m in ALL)])
-    rows.append(["decimated vertices", *(hm(data["decimated"][m]) for m in ALL)])
-    return markdown(["H / M, mean of six", *map(label, ALL)], rows)
+        rows.append([name, *(hm(data["on_surface"][m]["shapes"][shape]) for m in methods)])
+    rows.append(["decimated vertices", *(hm(data["decimated"][m]) for m in methods)])
+    return markdown(["H / M, mean of six", *map(label, methods)], rows)
 
 
 def all_levels() -> str:
@@ -126,8 +127,8 @@ LEVELS = {"elephant": "`elephant`", "elephant, then loop": "`elephant`, Loop aft
 
 def levels_distance() -> str:
     data = results("levels")["methods"]
-    rows = [[name, *(f"{entry['M']:.3f}" for entry in data[m].values())] for m, name in LEVELS.items()]
-    return markdown(["M, at level", "1", "2", "3", "4", "5"], rows)
+    rows = [[name, *map(hm, data[m].values())] for m, name in LEVELS.items()]
+    return markdown(["H / M, at level", "1", "2", "3", "4", "5"], rows)
 
 
 def levels_angle() -> str:
