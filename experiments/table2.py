@@ -155,8 +155,8 @@ def carriers(model: neusub.Subdivider, files: Sequence[Path]) -> dict:
         kinds["triangles under 0.3"].append(quality < 0.3)
         kinds["worst 1 %"].append(errors[-1] > np.quantile(errors[-1], 0.99))
     loss = np.concatenate(errors)
-    return {name: {"vertices": 100 * float(np.concatenate(found).mean()),
-                   "loss": 100 * float(loss[np.concatenate(found)].sum() / loss.sum())} for name, found in kinds.items()}
+    return {name: {"vertices": 100 * float(is_in.mean()), "loss": 100 * float(loss[is_in].sum() / loss.sum())}
+            for name, is_in in ((name, np.concatenate(found)) for name, found in kinds.items())}
 
 
 def averaged(categories: dict[str, dict]) -> dict:
