@@ -37,7 +37,7 @@ TARGETS, TREE, PAIRS = "known targets", "chamfer, KD-tree", "chamfer, all pairs"
 BLOCK = 2**24  # pairs of points at a time
 LONG = 2.5  # seconds of one evaluation: it is not repeated, and that loss not measured on more points
 COARSE = 500  # vertices
-BASE = 4_000  # faces of the blob that is refined
+BASE = 8_000  # faces of the blob that is refined
 
 
 # --- the losses --------------------------------------------------------------------------------------------------
