@@ -218,6 +218,51 @@ def table2_bottom() -> str:
     return table2("bottom")
 
 
+def trainings() -> str:
+    """Trained otherwise: the network's shares, on-surface inputs."""
+    data = results("table2")
+    sizes = "surface, 350 to 450 vertices"
+    names = {"": "the paper's: 150 to 300 vertices, squared loss, unbounded", "bounded": "the same weights, `--bounded`",
+             "surface, bounded": "150 to 300 vertices, `--loss surface --bounded`, 150 epochs",
+             "surface, 250 to 350 vertices, bounded": "250 to 350 vertices, `--loss surface --bounded`, 300 epochs",
+             f"{sizes}, bounded": "350 to 450 vertices, `--loss surface --bounded`, 300 epochs",
+             f"{sizes}, varied": "350 to 450 vertices, `--loss surface --varied --epochs 100`",
+             f"{sizes}, varied, by area": "**the same, `--weighting areas`**",
+             f"{sizes}, varied, by area, seed 1": "the same, `--seed 1`",
+             f"{sizes}, varied, by area, seen": "`--seen`: on the training's own shapes"}
+
+    def cells(part: str, name: str) -> list[str]:
+        key = f"{part}, {name}" if name else part
+        if key not in data:
+            return ["", ""]
+        h, m = (data[key]["ratios"]["on_surface"][measure] for measure in "HM")
+        return [f"{m['butterfly']:.3f} / {m['loop']:.3f}", f"{h['butterfly']:.3f} / {h['loop']:.3f}"]
+
+    rows = [[title, *cells("top", name), *cells("bottom", name)] for name, title in names.items()]
+    paper = [f"{data[part]['ratios_of_the_paper'][measure]['butterfly']:.3f} / "
+             f"{data[part]['ratios_of_the_paper'][measure]['loop']:.3f}" for part in ("top", "bottom")
+             for measure in "MH"]
+    return markdown(["training", "top: M, butterfly's / Loop's", "H", "bottom: M, butterfly's / Loop's", "H"],
+                    [*rows, ["paper", *paper]])
+
+
+def trainings_shapes() -> str:
+    """The best of them, category by category."""
+    data = [results("table2")[f"{part}, surface, 350 to 450 vertices, varied, by area"] for part in ("top", "bottom")]
+    methods = [(0, scheme) for scheme in ALL[:3]] + [(0, "network"), (1, "network")]
+    rows = []
+    for category, entry in data[0]["on_surface"]["loop"]["categories"].items():
+        found = [data[part]["on_surface"][method]["categories"].get(category) for part, method in methods]
+        rows.append([f"{category} ({entry['shapes']})", *(hm(row) if row else "" for row in found)])
+    for part, name in enumerate(("top", "bottom")):
+        cells = [hm(data[part]["on_surface"][method]) if at in (0, part) and not (at == 0 and part and method == "network")
+                 else "" for at, method in methods]
+        rows.append([f"**{cell}**" if cell else "" for cell in (f"mean, {name}", *cells)])
+    cells = [hm(data[part]["fixed_inputs"]["on_surface"][method]) for part, method in methods]
+    rows.append(["eight fixed inputs, on the surface", *cells])
+    return markdown(["on-surface inputs, H / M", *map(label, ALL[:3]), "network, top", "network, bottom"], rows)
+
+
 def shares(part: str) -> str:
     data = results("table2")
     free, bounded = (data[name]["ratios"]["on_surface"] for name in (part, f"{part}, bounded"))
@@ -240,9 +285,94 @@ def shares_bottom() -> str:
     return shares("bottom")
 
 
+def runtime_loss() -> str:
+    names = {"chamfer, KD-tree": "chamfer, KD-tree", "chamfer, all pairs": "chamfer, all pairs",
+             "chamfer, all pairs, GPU": "the same, GPU"}
+
+    def times(row: dict, name: str) -> str:
+        return f"{float(f'{row[name]:.3g}'):,.0f}" if name in row else "too large"
+
+    rows = [[f"{row['points']:,}", *(times(row, name) for name in names)]
+            for row in results("runtime")["fig:runtime"]["times_the_known_targets"]]
+    return markdown(["points", *names.values()], rows)
+
+
+def runtime_decimation() -> str:
+    rows = [[f"{row['vertices']:,}", f"{row['microseconds_a_collapse']:.1f}",
+             f"{1e9 * row['seconds'] / (row['vertices'] * np.log2(row['vertices'])):.0f}",
+             f"{row['seconds']:.2g}", f"{row['igl_qslim_seconds']:.2g}", f"{row['peak_megabytes']:.0f}"]
+            for row in results("runtime")["sec:SSS"]["sizes"]]
+    return markdown(["vertices", "µs a collapse", "ns / (N log2 N)", "seconds", "igl", "MB at the peak"], rows)
+
+
+def hmn(entry: dict) -> str:
+    return f"{hm(entry)} / {entry['normals']:.1f}"
+
+
+def styles() -> str:
+    data = results("styles")
+    names = {"spot": "trained on spot, smooth", "wingnut": "trained on a wingnut, sharp", "two": "trained on both",
+             "four": "trained on both, a fish and a hammer", "organic": "trained on four organic shapes",
+             "mechanical": "trained on four man-made shapes"}
+    entries = {label(scheme): data["baselines"][scheme] for scheme in ALL[:3]}
+    entries |= {title: data["trainings"][name]["held_out"] for name, title in names.items()}
+    rows = [[name, *(hmn(entry[group]) for group in ("organic", "man-made")),
+             f"{entry['crease_kept_percent']['mean']:.0f}"] for name, entry in entries.items()]
+    return markdown(["H / M / normals", "organic", "man-made", "creases, %"], rows)
+
+
+def poses() -> str:
+    data = results("styles")["trainings"]["pose"]["unseen_poses"]
+    return markdown(["mean of five poses", *map(label, data)], [["H / M / normals", *map(hmn, data.values())]])
+
+
+def level3() -> str:
+    data, levels = results("level3")["scores"], ("level 2", "level 3", "level 4")
+    names = {"2 levels": "trained on two levels", "3 levels": "trained on three", "butterfly": "butterfly"}
+    rows = [[title, *(f"{hm(data[name][level])} / {data[name][level]['angle']:.1f}" for level in levels)]
+            for name, title in names.items()]
+    return markdown(["H / M / angle, at level", "2", "3", "4"], rows)
+
+
+def learn_loop() -> str:
+    data = results("learn_loop")["percent_of_the_diagonal"]
+    keys = ("mean", "99 %", "worst", "mean of level 1", "midpoint", "butterfly")
+    rows = [[name.split("_")[1], *(f"{row[key]:.3f}" for key in keys)] for name, row in data["shapes"].items()]
+    rows.append([f"**{cell}**" for cell in ("mean", *(f"{data['mean'][key]:.3f}" for key in keys))])
+    return markdown(["shape", "mean", "99 %", "worst", "mean at level 1", "midpoint's distance to Loop", "butterfly's"],
+                    rows)
+
+
+def translation() -> str:
+    data = results("translation")["mean_error_percent_of_the_diagonal"]
+    names = {"paper": "local frames (the paper's)", "world axes": "world axes",
+             "world positions": "world axes, positions"}
+    rows = [[title, *(f"{dict(map(tuple, data[name]['angle']))[angle]:.3f}" for angle in (0, 5, 20, 45, 90)),
+             *(f"{dict(map(tuple, data[name]['shift']))[shift]:.3f}" for shift in (0.05, 0.2, 1))]
+            for name, title in names.items()]
+    return markdown(["network", "as trained", "turned by 5 degrees", "20", "45", "90",
+                     "moved by 0.05 sides of the box", "0.2", "1"], rows)
+
+
+def point2mesh() -> str:
+    data = results("losses")["targets"]
+    rows = [[name.split("_")[1], *(f"{100 - row[kind]['covered']:.2f}" for kind in ("closest points", "map")),
+             *(f"{row[kind]['flipped']:.2f}" for kind in ("midpoints", "closest points", "map"))]
+            for name, row in data.items() if isinstance(row, dict)]
+    return markdown(["shape", "missed, %: closest points", "map", "flipped, %: midpoints", "closest points", "map"], rows)
+
+
+def losses() -> str:
+    names = {"correspondences": "ours: targets by the map", "chamfer": "chamfer", "closest points": "closest points"}
+    rows = [[names[name], f"{row['flipped']:.3g}", f"{row['folded']:.2g}", f"{row['covered']:.1f}", f"{row['H']:.2f}",
+             f"{row['M']:.3f}", str(row["cpu_seconds"])] for name, row in results("losses")["results"].items()]
+    return markdown(["loss", "flipped, %", "folded, %", "covered, %", "H", "M", "seconds of one core"], rows)
+
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
     fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle,
-    upsampling, cages, ablation, ablation_full, ablation_long, table2_top, table2_bottom, shares_top, shares_bottom)}
+    upsampling, cages, ablation, ablation_full, ablation_long, runtime_loss, runtime_decimation, styles, poses,
+    level3, learn_loop, translation, point2mesh, losses, table2_top, table2_bottom, shares_top, shares_bottom, trainings,
+    trainings_shapes)}
 
 
 def renewed(text: str) -> str:
