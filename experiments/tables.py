@@ -222,7 +222,8 @@ def trainings() -> str:
     """Trained otherwise: the network's shares, on-surface inputs."""
     data = results("table2")
     sizes = "surface, 350 to 450 vertices"
-    names = {"": "the paper's: 150 to 300 vertices, squared loss, unbounded", "bounded": "the same weights, `--bounded`",
+    names = {"": "the paper's: 150 to 300 vertices, squared loss, unbounded",
+             "bounded": "the same weights, `--bounded`",
              "surface, bounded": "150 to 300 vertices, `--loss surface --bounded`, 150 epochs",
              "surface, 250 to 350 vertices, bounded": "250 to 350 vertices, `--loss surface --bounded`, 300 epochs",
              f"{sizes}, bounded": "350 to 450 vertices, `--loss surface --bounded`, 300 epochs",
@@ -242,7 +243,7 @@ def trainings() -> str:
     paper = [f"{data[part]['ratios_of_the_paper'][measure]['butterfly']:.3f} / "
              f"{data[part]['ratios_of_the_paper'][measure]['loop']:.3f}" for part in ("top", "bottom")
              for measure in "MH"]
-    return markdown(["training", "top: M, butterfly's / Loop's", "H", "bottom: M, butterfly's / Loop's", "H"],
+    return markdown(["training", "top: M, of butterfly's / Loop's", "H", "bottom: M", "H"],
                     [*rows, ["paper", *paper]])
 
 
@@ -255,8 +256,8 @@ def trainings_shapes() -> str:
         found = [data[part]["on_surface"][method]["categories"].get(category) for part, method in methods]
         rows.append([f"{category} ({entry['shapes']})", *(hm(row) if row else "" for row in found)])
     for part, name in enumerate(("top", "bottom")):
-        cells = [hm(data[part]["on_surface"][method]) if at in (0, part) and not (at == 0 and part and method == "network")
-                 else "" for at, method in methods]
+        cells = [hm(data[part]["on_surface"][method]) if method != "network" or at == part else ""
+                 for at, method in methods]
         rows.append([f"**{cell}**" if cell else "" for cell in (f"mean, {name}", *cells)])
     cells = [hm(data[part]["fixed_inputs"]["on_surface"][method]) for part, method in methods]
     rows.append(["eight fixed inputs, on the surface", *cells])
@@ -359,20 +360,21 @@ def point2mesh() -> str:
     rows = [[name.split("_")[1], *(f"{100 - row[kind]['covered']:.2f}" for kind in ("closest points", "map")),
              *(f"{row[kind]['flipped']:.2f}" for kind in ("midpoints", "closest points", "map"))]
             for name, row in data.items() if isinstance(row, dict)]
-    return markdown(["shape", "missed, %: closest points", "map", "flipped, %: midpoints", "closest points", "map"], rows)
+    return markdown(["shape", "missed, %: closest points", "map", "flipped, %: midpoints", "closest points", "map"],
+                    rows)
 
 
 def losses() -> str:
     names = {"correspondences": "ours: targets by the map", "chamfer": "chamfer", "closest points": "closest points"}
-    rows = [[names[name], f"{row['flipped']:.3g}", f"{row['folded']:.2g}", f"{row['covered']:.1f}", f"{row['H']:.2f}",
+    rows = [[names[name], f"{row['flipped']:.3g}", f"{row['folded']:.3g}", f"{row['covered']:.1f}", f"{row['H']:.2f}",
              f"{row['M']:.3f}", str(row["cpu_seconds"])] for name, row in results("losses")["results"].items()]
     return markdown(["loss", "flipped, %", "folded, %", "covered, %", "H", "M", "seconds of one core"], rows)
 
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
     fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle,
     upsampling, cages, ablation, ablation_full, ablation_long, runtime_loss, runtime_decimation, styles, poses,
-    level3, learn_loop, translation, point2mesh, losses, table2_top, table2_bottom, shares_top, shares_bottom, trainings,
-    trainings_shapes)}
+    level3, learn_loop, translation, point2mesh, losses, table2_top, table2_bottom, shares_top, shares_bottom,
+    trainings, trainings_shapes)}
 
 
 def renewed(text: str) -> str:
