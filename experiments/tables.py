@@ -20,6 +20,7 @@ from experiments.common import HERE
 ROOT = HERE.parent
 LABELS = {"loop": "Loop", "bunny": "`bunny`", "elephant": "`elephant`", "default": "`default`",
           "default, uncross": "`default`, crossings taken back"}
+KINDS = "on_surface", "decimated"
 ALL = ("midpoint", "loop", "butterfly", "elephant", "default")
 MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
@@ -45,9 +46,10 @@ def fixed_inputs() -> str:
     data = results("fixed_inputs")
     names = {"butterfly": "modified butterfly", "default": "`default`, told the kind of input"}
     rows = [[names.get(method, LABELS.get(method, method if method in ALL else f"`{method}`")),
-             *(hm(data[kind][method]) for kind in ("on_surface", "decimated"))] for method in data["on_surface"]]
-    authors = ["the authors' released weights", "2.26 / 0.229", "2.25 / 0.275"]  # run once, with their own code
-    rows.insert(list(data["on_surface"]).index("butterfly") + 1, authors)
+             *(hm(data[kind][method]) for kind in KINDS)] for method in data["on_surface"]]
+    authors = results("authors")
+    rows.insert(list(data["on_surface"]).index("butterfly") + 1,
+                ["the authors' released weights", *(hm(authors[kind]) for kind in KINDS)])
     return markdown(["eight shapes of TOSCA, two levels, H / M", "coarse vertices on the surface", "decimated"], rows)
 
 
