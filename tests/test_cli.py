@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 import neusub
 import shapes
@@ -53,6 +54,15 @@ def test_many_inputs_go_to_a_folder_and_a_failed_one_does_not_stop_the_others(ba
     assert not (tmp_path / "out" / "bad.obj").exists()
     assert "bad.obj: NonFiniteError: vertex 1" in err
     assert "1 of 2 failed" in err
+
+
+def test_gltf_comes_out_as_glb_in_a_folder(tmp_path, capsys):
+    sphere = trimesh.Trimesh(*shapes.icosphere(1), process=False)
+    for name, content in trimesh.Scene(sphere).export(file_type="gltf").items():
+        (tmp_path / name).write_bytes(content)
+    status, _, _ = neusub_command(capsys, "subdivide", tmp_path / "model.gltf", "-o", tmp_path / "fine/")
+    assert status == 0
+    assert len(neusub.load(tmp_path / "fine" / "model.glb").faces) == 1280
 
 
 def test_an_output_without_extension_is_a_folder_for_one_input_too(ball, tmp_path, capsys):

@@ -135,3 +135,43 @@ def test_a_missing_image_of_a_glb_is_reported(tmp_path):
 def test_missing_bytes_of_a_glb_are_named(tmp_path):
     with pytest.raises(errors.MeshFileError, match=r"a\.bin is missing"):
         load(_with_uris(tmp_path / "a.glb", buffers="a.bin"))
+
+
+def _gltf(folder, **extra):
+    """A cube as glTF: JSON, and its buffer in a file beside it."""
+    for name, content in trimesh.Scene(trimesh.Trimesh(*shapes.cube(), process=False)).export(file_type="gltf").items():
+        (folder / name).write_bytes(content)
+    path = folder / "model.gltf"
+    path.write_text(json.dumps(json.loads(path.read_text()) | extra))
+    return path
+
+
+def test_gltf_is_read_with_the_buffers_beside_it(tmp_path):
+    mesh = load(_gltf(tmp_path))
+    assert (len(mesh.vertices), len(mesh.faces)) == (8, 12)
+    with pytest.raises(errors.MeshFileError, match=r"extension '\.gltf'\. Known are: \.obj"):
+        save(mesh, tmp_path / "b.gltf")
+    next(tmp_path.glob("*.bin")).unlink()
+    with pytest.raises(errors.MeshFileError, match="bin is missing: the mesh refers to it"):
+        load(tmp_path / "model.gltf")
+
+
+def test_compressed_gltf_is_refused_by_name(tmp_path):
+    path = _gltf(tmp_path, extensionsRequired=["KHR_materials_unlit", "KHR_draco_mesh_compression"])
+    with pytest.raises(errors.MeshFileError, match="needs the glTF extension KHR_draco_mesh_compression, which"):
+        load(path)
+
+
+def test_a_texture_transform_is_reported(tmp_path):
+    vertices, faces = shapes.cube()
+    material = trimesh.visual.material.PBRMaterial(name="skin", baseColorTexture=Image.new("RGB", (2, 2), "red"))
+    visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)
+    files = trimesh.Scene(trimesh.Trimesh(vertices, faces, process=False, visual=visual)).export(file_type="gltf")
+    for name, content in files.items():
+        (tmp_path / name).write_bytes(content)
+    path = tmp_path / "model.gltf"
+    tree = json.loads(path.read_text())
+    texture = tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
+    texture["extensions"] = {"KHR_texture_transform": {"scale": [2, 2]}}
+    path.write_text(json.dumps(tree))
+    assert "material skin: KHR_texture_transform left out; its texture may be off" in load(path).load_report

@@ -39,7 +39,7 @@ def subdivide_command(
     """Refine meshes with a trained network or a classical scheme.
 
     Args:
-        inputs: Mesh files: OBJ, PLY, STL, OFF, GLB.
+        inputs: Mesh files: OBJ, PLY, STL, OFF, GLB (and glTF, to read).
         output: A file; with several inputs, a folder.
         scheme: The network, or a classical scheme.
         model: A model's name (see 'neusub models') or its file.

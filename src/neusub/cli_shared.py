@@ -36,16 +36,23 @@ def check_output(inputs: tuple[Path, ...], output: Path) -> None:
     if output.suffix.lower() in KINDS or output.is_file():
         raise MeshFileError(f"{output}: with several inputs, or no extension, the output is a folder. Give one with "
                             "-o.")
-    names = [path.name for path in inputs]
+    names = [name_in_folder(path) for path in inputs]
     twice = next((name for name in names if names.count(name) > 1), None)
     if twice:
         raise MeshFileError(f"{twice}: several inputs have this name and would overwrite each other in {output}.")
     output.mkdir(parents=True, exist_ok=True)
 
 
+def name_in_folder(path: Path) -> str:
+    """Of the output of one input: its own, but what is only read as glTF is written as GLB."""
+    from neusub.io import READ_ONLY
+
+    return path.with_suffix(".glb").name if path.suffix.lower() in READ_ONLY else path.name
+
+
 def level_files(path: Path, inputs: tuple[Path, ...], output: Path, levels: int | None) -> list[Path]:
     """Where the results of one input go: one file, or NAME.level0 ... for each of so many levels."""
-    target = output / path.name if is_folder(inputs, output) else output
+    target = output / name_in_folder(path) if is_folder(inputs, output) else output
     if levels is None:
         return [target]
     return [Path(f"{target.with_suffix('')}.level{k}{target.suffix}") for k in range(levels + 1)]

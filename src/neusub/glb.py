@@ -1,8 +1,10 @@
-"""GLB on trimesh: its reader and writer take care of the container, this of seams, materials and nodes."""
+"""GLB and glTF on trimesh: its reader and writer take care of the container, this of seams, materials and nodes."""
 
 from __future__ import annotations
 
 import io
+import json
+import struct
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -20,13 +22,27 @@ if TYPE_CHECKING:
 __all__ = ["parse_glb", "write_glb"]
 
 
+# Extensions that a file may require: without these the triangles are the same.
+HARMLESS = ("KHR_texture_transform", "KHR_materials_", "KHR_lights_punctual", "KHR_xmp_json_ld", "EXT_texture_webp")
+
+
 def parse_glb(data: bytes, path: Path) -> RawMesh:
-    """All triangles of the scene, in world coordinates, joined across seams (UV, normal, primitive) and at copies."""
-    from trimesh.exchange.gltf import load_glb
+    """All triangles of the scene, in world coordinates, joined across seams (UV, normal, primitive) and at copies.
+
+    Raises MeshFileError for a file that needs extensions which are not read (compression, quantization), and for a
+    missing buffer of a glTF file.
+    """
+    from trimesh.exchange.gltf import load_glb, load_gltf
     from trimesh.scene.transforms import SceneGraph
 
+    is_binary = data[:4] == b"glTF"
+    header = _header(data, is_binary)
+    unread = [name for name in header.get("extensionsRequired", ()) if not name.startswith(HARMLESS)]
+    if unread:
+        raise MeshFileError(f"{path} needs the glTF extension {', '.join(unread)}, which is not read. Export it "
+                            "without compression and quantization.")
     images = _FilesBeside(path.parent)
-    content: dict[str, Any] = dict(load_glb(io.BytesIO(data), resolver=images))
+    content: dict[str, Any] = dict((load_glb if is_binary else load_gltf)(io.BytesIO(data), resolver=images))
     graph = SceneGraph()
     for edge in content["graph"]:
         graph.update(**edge)
@@ -42,7 +58,19 @@ def parse_glb(data: bytes, path: Path) -> RawMesh:
         return RawMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     raw = _joined(parts)
     raw.report.extend(f"no image at '{uri}'; the texture is left out" for uri in images.missing)
+    raw.report.extend(f"material {material.get('name', number)}: KHR_texture_transform left out; its texture may be off"
+                      for number, material in enumerate(header.get("materials", ()))
+                      if "KHR_texture_transform" in json.dumps(material.get("pbrMetallicRoughness", {})))
     return raw
+
+
+def _header(data: bytes, is_binary: bool) -> dict[str, Any]:
+    """The JSON of the file; of a GLB it is the first chunk."""
+    text = data
+    if is_binary:
+        length, = struct.unpack_from("<I", data, 12)
+        text = data[20 : 20 + length]
+    return json.loads(text)
 
 
 class _FilesBeside(dict[str, bytes]):

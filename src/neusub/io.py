@@ -1,4 +1,4 @@
-"""Mesh files: OBJ (with MTL), PLY, STL, OFF and GLB.
+"""Mesh files: OBJ (with MTL), PLY, STL, OFF and GLB; glTF is read like GLB, and not written.
 
 `read` gives what the file says, unchecked; `load` checks it; `save` writes.  What is joined on reading:
 
@@ -34,7 +34,8 @@ if TYPE_CHECKING:
 
 __all__ = ["KINDS", "RawMesh", "load", "read", "save"]
 
-KINDS = (".obj", ".ply", ".stl", ".off", ".glb")
+KINDS = (".obj", ".ply", ".stl", ".off", ".glb")  # read and written
+READ_ONLY = (".gltf",)
 SINGLE = (".stl", ".glb")  # hold coordinates in single precision
 
 
@@ -47,7 +48,7 @@ def read(path: str | os.PathLike[str]) -> RawMesh:
     path = Path(path)
     if path.is_dir():
         raise MeshFileError(f"{path} is a folder. Give a mesh file.")
-    kind = _known_kind(path)
+    kind = _known_kind(path, (*KINDS, *READ_ONLY))
     if not path.exists():
         raise MeshFileError(f"{path} does not exist. Check the name.")
     try:
@@ -91,7 +92,7 @@ def save(mesh: Mesh, path: str | os.PathLike[str], overwrite: bool = True) -> No
     that exists.
     """
     path = Path(path)
-    writer = _writer(_known_kind(path))
+    writer = _writer(_known_kind(path, KINDS))
     folder = path.parent
     if path.is_dir():
         raise MeshFileError(f"{path} is a folder. Give a file name in it.")
@@ -150,10 +151,10 @@ def _write_whole(path: Path, content: bytes) -> None:
         raise MeshFileError(f"{path} cannot be written: {error.strerror}. Check space and permissions.") from None
 
 
-def _known_kind(path: Path) -> str:
+def _known_kind(path: Path, kinds: tuple[str, ...]) -> str:
     kind = path.suffix.lower()
-    if kind not in KINDS:
-        raise MeshFileError(f"{path} has the extension '{path.suffix}'. Known are: {', '.join(KINDS)}.")
+    if kind not in kinds:
+        raise MeshFileError(f"{path} has the extension '{path.suffix}'. Known are: {', '.join(kinds)}.")
     return kind
 
 
@@ -166,7 +167,7 @@ def _parse(data: bytes, kind: str, path: Path) -> RawMesh:
         from neusub.ply import parse_ply
 
         return parse_ply(data, path)
-    if kind == ".glb":
+    if kind in (".glb", ".gltf"):
         from neusub.glb import parse_glb
 
         return parse_glb(data, path)
