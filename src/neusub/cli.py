@@ -12,7 +12,7 @@ from typing import Literal
 from tyro.conf import Positional
 
 from neusub import cli_learning  # noqa: F401 (its commands join the app)
-from neusub.cli_shared import Output, app, check_free, check_output, for_each, level_files, progress_bar, say
+from neusub.cli_shared import Output, app, check_free, check_output, for_each, level_files, loaded, progress_bar, say
 from neusub.configuration import Input
 
 QUICK = 80_000  # faces of a result that is looked through for crossings within a second or so
@@ -59,15 +59,14 @@ def subdivide_command(
 
     def work(path: Path) -> list[str]:
         targets = level_files(path, inputs, output, levels + limit_levels if all_levels else None)
-        from neusub.io import KINDS, load, save
+        from neusub.io import KINDS, save
 
         check_free(targets, overwrite, KINDS)
         for option, value in (("model", model), ("input", input)):
             if value is not None and scheme != "neural":
                 raise ValueError(f"--{option} {value} is for networks, the scheme is {scheme}. Leave one of them out.")
 
-        mesh = load(path)
-        notes = [f"{path}: {line}" for line in mesh.load_report]
+        mesh, notes = loaded(path)
         from neusub.subdivider import DEFAULT_MODEL, subdivide
 
         is_cage = scheme == "neural" and len(mesh.faces) * 4 ** (levels + limit_levels) <= QUICK
@@ -232,14 +231,14 @@ def decimate_command(
         overwrite: Replace files that exist.
     """
     def work(path: Path) -> list[str]:
-        from neusub.io import KINDS, load, save
+        from neusub.io import KINDS, save
         from neusub.remeshing import with_signals
         from neusub.selfparam import decimate
         from neusub.selfparam.criteria import refusals
 
         check_free([output], overwrite, KINDS)
         check_free([map_file] if map_file else [], overwrite, (".safetensors",))
-        fine = load(path)
+        fine, notes = loaded(path)
         with progress_bar("left") as update:
             result = decimate(fine, n_vertices=vertices, n_faces=faces, strategy=strategy, seed=seed,
                               sharp_boundary_angle=sharp_boundary_angle, on_progress=update)
@@ -247,7 +246,7 @@ def decimate_command(
         save(coarse if on_surface else coarse.replace_vertices(result.decimated), output, overwrite=overwrite)
         if map_file:
             result.save(map_file)
-        lines = [*(f"{path}: {line}" for line in coarse.load_report),
+        lines = [*notes, *(f"{path}: {line}" for line in coarse.load_report),
                  f"{path}: {len(fine.faces):,} -> {len(result.faces):,} faces: {output}"]
         if not result.reached:
             lines.append(f"the target was not reached; refused: {refusals(result.counts)}")
@@ -288,17 +287,17 @@ def remesh_command(
     check_output(inputs, output)
 
     def work(path: Path) -> list[str]:
-        from neusub.io import KINDS, load, save
+        from neusub.io import KINDS, save
         from neusub.remeshing import remesh
 
         targets = level_files(path, inputs, output, levels if all_levels else None)
         check_free(targets, overwrite, KINDS)
-        results = remesh(load(path), n_vertices=vertices, n_faces=faces, levels=levels, strategy=strategy, seed=seed,
-                         fit=fit)
+        fine, notes = loaded(path)
+        results = remesh(fine, n_vertices=vertices, n_faces=faces, levels=levels, strategy=strategy, seed=seed, fit=fit)
         for mesh, place in zip(results[-len(targets) :], targets):
             save(mesh, place, overwrite=overwrite)
         base, last = results[0], results[-1]
-        return [*(f"{path}: {line}" for line in last.load_report),
+        return [*notes, *(f"{path}: {line}" for line in last.load_report),
                 f"{path}: {len(base.faces):,} base faces -> {len(last.faces):,}: {targets[-1]}"]
 
     return for_each(inputs, work)

@@ -3,15 +3,20 @@
 from __future__ import annotations
 
 import sys
+import warnings
 from collections.abc import Callable
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import tyro
 from tyro.conf import arg
 
-__all__ = ["Output", "app", "check_free", "check_output", "for_each", "level_files", "progress_bar", "say"]
+if TYPE_CHECKING:
+    from neusub.mesh import Mesh
+
+__all__ = ["Output", "app", "check_free", "check_output", "for_each", "level_files", "loaded", "progress_bar",
+           "say"]
 
 app = tyro.extras.SubcommandApp()
 Output = Annotated[Path, arg(aliases=["-o"])]
@@ -56,6 +61,16 @@ def level_files(path: Path, inputs: tuple[Path, ...], output: Path, levels: int 
     if levels is None:
         return [target]
     return [Path(f"{target.with_suffix('')}.level{k}{target.suffix}") for k in range(levels + 1)]
+
+
+def loaded(path: Path) -> tuple[Mesh, list[str]]:
+    """A mesh, and a line for each thing that reading it did; what `load` warns of is among them."""
+    from neusub.io import load
+
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        mesh = load(path)
+    return mesh, [f"{path}: {line}" for line in mesh.load_report]
 
 
 def check_free(paths: list[Path], overwrite: bool, suffixes: tuple[str, ...]) -> None:
