@@ -162,16 +162,35 @@ def test_compressed_gltf_is_refused_by_name(tmp_path):
         load(path)
 
 
-def test_a_texture_transform_is_reported(tmp_path):
+def _textured_gltf(folder, change):
+    """A cube with a texture; change: what is done to the image and to its mention in the material."""
     vertices, faces = shapes.cube()
-    material = trimesh.visual.material.PBRMaterial(name="skin", baseColorTexture=Image.new("RGB", (2, 2), "red"))
+    material = trimesh.visual.material.PBRMaterial(name="the skin", baseColorTexture=Image.new("RGB", (2, 2), "red"))
     visual = trimesh.visual.TextureVisuals(uv=vertices[:, :2], material=material)
     files = trimesh.Scene(trimesh.Trimesh(vertices, faces, process=False, visual=visual)).export(file_type="gltf")
     for name, content in files.items():
-        (tmp_path / name).write_bytes(content)
-    path = tmp_path / "model.gltf"
+        (folder / name).write_bytes(content)
+    path = folder / "model.gltf"
     tree = json.loads(path.read_text())
-    texture = tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"]
-    texture["extensions"] = {"KHR_texture_transform": {"scale": [2, 2]}}
+    change(tree["images"][0], tree["materials"][0]["pbrMetallicRoughness"]["baseColorTexture"])
     path.write_text(json.dumps(tree))
-    assert "material skin: KHR_texture_transform left out; its texture may be off" in load(path).load_report
+    return path
+
+
+def test_a_texture_transform_is_reported(tmp_path):
+    def scale(image, texture):
+        texture["extensions"] = {"KHR_texture_transform": {"scale": [2, 2]}}
+
+    mesh = load(_textured_gltf(tmp_path, scale))
+    assert mesh.materials[0].textures
+    assert "material the skin: KHR_texture_transform left out; its texture may be off" in mesh.load_report
+
+
+def test_an_image_that_cannot_be_read_is_reported(tmp_path):
+    def garble(image, texture):
+        image.clear()
+        image["uri"] = "data:image/png;base64,AAAA"
+
+    mesh = load(_textured_gltf(tmp_path, garble))
+    assert not mesh.materials[0].textures
+    assert "material the skin: its image cannot be read; the texture is left out" in mesh.load_report

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import json
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -23,7 +24,7 @@ __all__ = ["parse_glb", "write_glb"]
 
 
 # Extensions that a file may require: without these the triangles are the same.
-HARMLESS = ("KHR_texture_transform", "KHR_materials_", "KHR_lights_punctual", "KHR_xmp_json_ld", "EXT_texture_webp")
+HARMLESS = ("KHR_texture_", "EXT_texture_", "KHR_materials_", "KHR_lights_punctual", "KHR_xmp_json_ld")
 
 
 def parse_glb(data: bytes, path: Path) -> RawMesh:
@@ -58,10 +59,22 @@ def parse_glb(data: bytes, path: Path) -> RawMesh:
         return RawMesh(np.zeros((0, 3)), np.zeros((0, 3), dtype=np.int64))
     raw = _joined(parts)
     raw.report.extend(f"no image at '{uri}'; the texture is left out" for uri in images.missing)
-    raw.report.extend(f"material {material.get('name', number)}: KHR_texture_transform left out; its texture may be off"
-                      for number, material in enumerate(header.get("materials", ()))
-                      if "KHR_texture_transform" in json.dumps(material.get("pbrMetallicRoughness", {})))
+    raw.report.extend(_textures_left_out(raw, header, images.missing))
     return raw
+
+
+def _textures_left_out(raw: RawMesh, header: dict[str, Any], missing: list[str]) -> Iterator[str]:
+    """A line for each material whose texture is not here, or not as the file has it."""
+    bare = {material.name for material in raw.materials if not material.textures}
+    for number, material in enumerate(header.get("materials", ())):
+        name = material.get("name", f"number {number}")
+        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
+        if texture is None:
+            continue
+        if name.replace(" ", "_") in bare and not missing:
+            yield f"material {name}: its image cannot be read; the texture is left out"
+        elif "KHR_texture_transform" in texture.get("extensions", {}):
+            yield f"material {name}: KHR_texture_transform left out; its texture may be off"
 
 
 def _header(data: bytes, is_binary: bool) -> dict[str, Any]:
