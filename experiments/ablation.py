@@ -22,7 +22,7 @@ import numpy as np
 import torch
 
 import neusub
-from experiments.common import RESULTS, parser_of, provenance, seeded
+from experiments.common import RESULTS, parsed, parser_of, provenance
 from experiments.drawing import write_chart
 from experiments.variants import NETWORKS, Fit, LastLevel, fit
 from neusub import PairConfig, TrainingConfig, import_pairs
@@ -47,15 +47,15 @@ RESULT = RESULTS / "ablation.json"
 
 
 def pairs_of(options: argparse.Namespace) -> tuple[list[Pair], list[Pair]]:
-    """The authors' pairs, or pairs of a mesh; as many as are asked for, and 10 held out."""
+    """The authors' pairs, or pairs of a mesh, the same for all seeds; as many as are asked for, and 10 held out."""
     if options.source.suffix == ".npz":
         folder = options.runs / "ablation" / "elephant"
         if not (folder / "train.safetensors").exists():
             import_pairs(options.source, folder, licence="MPL-2.0")
         train, validation = pair_files(folder)
     else:
-        config = PairConfig(total=options.pairs, validation=10, seed=options.seed)
-        folder = options.runs / "ablation" / seeded(f"{options.source.stem}-{options.pairs}", options)
+        config = PairConfig(total=options.pairs, validation=10)
+        folder = options.runs / "ablation" / f"{options.source.stem}-{options.pairs}"
         report = neusub.make_pairs([options.source], folder, config, workers=options.threads)
         train, validation = report.train, report.validation
     return load_pairs(train[0])[: options.pairs], load_pairs(validation[0])[: 2 if options.quick else 10]
@@ -186,14 +186,14 @@ def draw(known: list[dict]) -> Path | None:
 
 
 def main() -> None:
-    parser = parser_of("experiments ablation", __doc__, "6 pairs, 3 epochs, one seed")
+    parser = parser_of("experiments ablation", __doc__, "6 pairs, 3 epochs, one seed", trains=True)
     parser.add_argument("source", type=Path, help="cartoon_elephant.npz, the authors' public pairs; or a fine mesh")
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=200)
     parser.add_argument("--seeds", type=int, default=3)
     parser.add_argument("--only", nargs="+", choices=VARIANTS, default=VARIANTS, help="variants; all by default")
     parser.add_argument("--device", type=torch.device, default="cpu", help="where to train: cpu or cuda")
-    options = parser.parse_args()
+    options = parsed(parser)
     if options.quick:
         options.pairs, options.epochs, options.seeds = 6, 3, 1
     train, validation = pairs_of(options)

@@ -3,9 +3,9 @@
     python -m experiments cages MESHES
 
 MESHES holds INDEX.csv; taken are the manifold meshes of its group `lowpoly`, one of the two of spot's cage, two levels.
-Turned: level-2 triangles
-whose normal is more than 90 degrees from that of the cage's face that they come from.  Crossing: pairs of the cage's
-faces of which pieces cross (exactly, by CGAL) that no pieces of the midpoint refinement cross of.
+Turned: level-2 triangles whose normal is more than 90 degrees from that of the cage's face that they come from.
+Crossing: pairs of the cage's faces of which pieces cross (exactly, by CGAL) that no pieces of the midpoint refinement
+cross of.
 Writes results/cages.json and, of each cage and its refinement by `default` with uncross,
 docs/reproduction/cages.webp.
 """
@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import neusub
-from experiments.common import parser_of, provenance, write_results
+from experiments.common import parsed, parser_of, provenance, write_results
 from experiments.drawing import BLUE, GREY, blank, shaded, titled, upright, write_panels
 from experiments.measures import SCHEMES, is_turned, refined
 from neusub.crossing import crossing_pairs, uncrossed
@@ -75,7 +75,7 @@ def draw(meshes: dict[str, neusub.Mesh]) -> Path:
 def main() -> None:
     parser = parser_of("experiments cages", __doc__, "three cages")
     parser.add_argument("meshes", type=Path)
-    options = parser.parse_args()
+    options = parsed(parser)
     meshes = cages(options.meshes)
     if options.quick:
         meshes = dict(list(meshes.items())[:3])

@@ -26,21 +26,39 @@ TOSCA = "TOSCA: Bronstein, Bronstein, Kimmel 2008, Numerical Geometry of Non-Rig
 # --- options -----------------------------------------------------------------------------------------------------
 
 
-def parser_of(module: str, doc: str | None, quick: str) -> argparse.ArgumentParser:
-    """The options that every experiment has; `quick` says what --quick leaves out."""
+def parser_of(module: str, doc: str | None, quick: str, *, trains: bool = False) -> argparse.ArgumentParser:
+    """The options that every experiment has; `quick` says what --quick leaves out.  trains: those of trainings, too."""
     commit()  # of the code as it is read now, not of what is there when a long run ends
     parser = argparse.ArgumentParser(prog=f"python -m {module}", description=doc,
                                      formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--runs", type=Path, default=Path("runs"), help="pairs and trainings; both go on after a stop")
-    parser.add_argument("--seed", type=int, default=0)
+    if trains:
+        parser.add_argument("--runs", type=Path, default=Path("runs"),
+                            help="pairs and trainings; both go on after a stop")
+        parser.add_argument("--seed", type=int, default=0, help="with another one, pictures are not drawn")
     parser.add_argument("--threads", type=int, default=1)
-    parser.add_argument("--quick", action="store_true", help=f"{quick}; nothing is written but runs")
+    parser.add_argument("--quick", action="store_true", help=f"{quick}; nothing is written{' but runs' * trains}")
     return parser
+
+
+def parsed(parser: argparse.ArgumentParser) -> argparse.Namespace:
+    """The options; torch takes as many threads as they say."""
+    options = parser.parse_args()
+    torch.set_num_threads(options.threads)
+    return options
+
+
+def seed_of(options: argparse.Namespace) -> int:
+    return getattr(options, "seed", 0)
 
 
 def seeded(name: str, options: argparse.Namespace) -> str:
     """The name of a folder or of results: every seed has its own."""
-    return f"{name}-seed{options.seed}" if options.seed else name
+    return f"{name}-seed{seed_of(options)}" if seed_of(options) else name
+
+
+def draws(options: argparse.Namespace) -> bool:
+    """Whether pictures are drawn: those of the documentation are seed 0's."""
+    return not options.quick and not seed_of(options)
 
 
 # --- results -----------------------------------------------------------------------------------------------------
@@ -73,7 +91,7 @@ def provenance(options: argparse.Namespace) -> dict:
     shown = [Path(word).name if "/" in word else word for word in sys.argv[1:]]  # no path of a machine
     return {"command": " ".join([sys.argv[0], *shown]), "commit": commit(),
             "machine": f"{processor()}, {torch.get_num_threads()} thread(s), torch {torch.__version__}",
-            "seed": options.seed}
+            "seed": seed_of(options)}
 
 
 def write_results(name: str, numbers: dict, options: argparse.Namespace) -> None:
@@ -89,7 +107,7 @@ def add_result(name: str, keys: Sequence[str], part: dict, options: argparse.Nam
     numbers = here = read_results(name)
     for key in keys[:-1]:
         here = here.setdefault(key, {})
-    here[keys[-1] + (f", seed {options.seed}" if options.seed else "")] = part
+    here[keys[-1] + (f", seed {seed_of(options)}" if seed_of(options) else "")] = part
     replace_results(name, numbers)
 
 

@@ -21,7 +21,7 @@ import numpy as np
 
 import neusub
 from experiments.analytic import analytic_pairs, even_pairs
-from experiments.common import HERE, parser_of, provenance, ship, show, training_scores, write_results
+from experiments.common import HERE, parsed, parser_of, provenance, ship, show, training_scores, write_results
 from experiments.sources import bent, solid, stretched
 from neusub import PRESETS, PairConfig, make_pairs, train
 from neusub.generation import save_pairs
@@ -109,20 +109,20 @@ def without_files(training: dict) -> dict:
 
 
 def main() -> None:
-    parser = parser_of("experiments default", __doc__, "two shapes, an epoch each; not shipped")
+    parser = parser_of("experiments default", __doc__, "two shapes, an epoch each; not shipped", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--input", choices=tuple(NAMES), default="on_surface")
     parser.add_argument("--epochs", type=int, default=PRESETS["default"].epochs)
     parser.add_argument("--cycles", type=int, default=PRESETS["default"].cycles, help="of the learning rate")
     parser.add_argument("--start", help="a model in place of that of the first training: its name or file")
     parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
-    options = parser.parse_args()
+    options = parsed(parser)
     recipe = json.loads((HERE / "recipes" / "default.json").read_text())
     pairs = options.runs / f"default-pairs{'-quick' * options.quick}"
     smoothing = SMOOTHING
     if options.quick:
         recipe |= {"sources": sorted(recipe["sources"], key=lambda source: "deep" in source)[-2:], "copies": 1,
-                   "solids": 1}
+                   "solids": 1, **{key: recipe[key][:1] for key in ("closed_form", "even_grids")}}
         options.epochs, options.cycles, options.ship = 1, 1, False
         smoothing = SMOOTHING | {"epochs": 1}
     training, validation = pair_files(recipe, options.meshes, pairs)

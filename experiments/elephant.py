@@ -12,12 +12,14 @@ import csv
 from dataclasses import replace
 from pathlib import Path
 
-from experiments.common import parser_of, provenance, ship, show, training_scores, write_results
+from experiments.common import parsed, parser_of, provenance, ship, show, training_scores, write_results
 from neusub import PRESETS, import_pairs, train
 from neusub.training import TrainingResult
 
 SHOWS = ("app:experiments",)
 REFERENCE = 1.926012e-6
+SOURCE = {"file": "cartoon_elephant.npz", "repository": "HTDerekLiu/neuralSubdiv", "author": "Hsueh-Ti Derek Liu",
+          "licence": "MPL-2.0"}
 DESCRIPTION = "smooth organic shapes; trained on one shape, the cartoon elephant of the paper's authors' public pairs"
 
 
@@ -39,16 +41,17 @@ def first_epoch_below(log: Path, loss: float) -> int | None:
 
 
 def main() -> None:
-    parser = parser_of("experiments elephant", __doc__, "two epochs; not shipped")
+    parser = parser_of("experiments elephant", __doc__, "two epochs; not shipped", trains=True)
     parser.add_argument("source", type=Path, help="cartoon_elephant.npz, the authors' public pairs")
     parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
-    options = parser.parse_args()
+    options = parsed(parser)
     result = run(options.source, options.runs, options.seed, options.threads, options.quick)
     below = first_epoch_below(result.folder / "log.csv", REFERENCE)
     origin = provenance(options)
     write_results("elephant", {**origin, **training_scores(result), "reference_validation_loss": REFERENCE,
                                "first_epoch_at_or_below_reference": below}, options)
     if options.ship and not options.quick:
+        result.model.card["sources"] = [SOURCE]
         ship("elephant", origin["command"], DESCRIPTION, result)
 
 

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, write_results
+from experiments.common import TOSCA, fixed_inputs, fixed_reference, parsed, parser_of, provenance, write_results
 from experiments.measures import KINDS, SCHEMES, mean_of, refined, score
 
 SHOWS = ("tab:quantitative",)
@@ -22,7 +22,7 @@ def main() -> None:
     parser = parser_of("experiments fixed_inputs", __doc__, "two shapes")
     parser.add_argument("tosca", type=Path)
     parser.add_argument("--inputs", type=Path, required=True)
-    options = parser.parse_args()
+    options = parsed(parser)
     table: dict = {}
     for kind in KINDS:
         meshes = dict(list(fixed_inputs(options.inputs, kind).items())[: 2 if options.quick else None])

@@ -19,7 +19,7 @@ from numpy import ndarray
 
 import neusub
 from experiments import measures
-from experiments.common import parser_of, provenance, write_results
+from experiments.common import parsed, parser_of, provenance, write_results
 from experiments.drawing import upright
 from experiments.measures import FOLD, KINDS, SCHEMES, angles, mean_of, percents, remeshed, volume
 from neusub import Mesh, SelfParameterization
@@ -219,7 +219,7 @@ def texture(folder: Path) -> dict:
 def main() -> None:
     parser = parser_of("experiments gallery", __doc__, "one shape for fig:teaser, no pictures")
     parser.add_argument("meshes", type=Path)
-    options = parser.parse_args()
+    options = parsed(parser)
     folder = options.meshes
     numbers = {
         "fig:teaser": teaser(folder, UNSEEN[:1] if options.quick else UNSEEN),

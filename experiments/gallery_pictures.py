@@ -143,7 +143,7 @@ def draw_texture(folder: Path) -> Path:
     bottom = [fine, baked(pair, image, "loop"), baked(pair, image, "default")]
     titles = [["cage, 188 vertices", "Loop", "default"], ["original", "decimated, Loop", "decimated, default"]]
     return write_panels("texture", [[titled(photo(mesh, (400, 400), BACK), title) for mesh, title in zip(row, words)]
-                             for row, words in zip((top, bottom), titles)])
+                                    for row, words in zip((top, bottom), titles)])
 
 
 def photo(mesh: Mesh, size: tuple[int, int], camera: Sequence[float]) -> ndarray:

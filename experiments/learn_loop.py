@@ -21,7 +21,7 @@ import torch
 from torch import Tensor
 
 import neusub
-from experiments.common import parser_of, provenance, seeded, write_results
+from experiments.common import draws, parsed, parser_of, provenance, seeded, write_results
 from experiments.drawing import BACK, FRONT, SIDE, UP, panel, titled, write_panels
 from experiments.measures import mean_of
 from experiments.variants import NETWORKS, Fit, fit
@@ -116,11 +116,11 @@ def draw(folder: Path, model: Subdivider, seed: int, names: Sequence[str]) -> Pa
 
 
 def main() -> None:
-    parser = parser_of("experiments learn_loop", __doc__, "6 pairs, 10 epochs, two shapes")
+    parser = parser_of("experiments learn_loop", __doc__, "6 pairs, 10 epochs, two shapes", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=25)
-    options = parser.parse_args()
+    options = parsed(parser)
     if options.quick:
         options.pairs, options.epochs = 6, 10
     result, model = trained(options)
@@ -132,7 +132,7 @@ def main() -> None:
         print(Path(name).stem, json.dumps(rows[Path(name).stem]), flush=True)
     means = mean_of(rows)
     print("mean", json.dumps(means))
-    if not options.quick:
+    if draws(options):
         print(draw(options.meshes, model, options.seed, DRAWN))
     write_results("learn_loop", {
         **provenance(options), "source": SOURCE, "pairs": options.pairs, "epochs": options.epochs,

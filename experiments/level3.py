@@ -15,7 +15,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import neusub
-from experiments.common import parser_of, provenance, seeded, training_scores, write_results
+from experiments.common import draws, parsed, parser_of, provenance, seeded, training_scores, write_results
 from experiments.drawing import BACK, BLUE, GREEN, GREY, shaded, titled, write_panels
 from experiments.measures import angles, mean_of, percents, refined
 from experiments.styles import HELD_OUT, SPOT, VALIDATION, held_out
@@ -60,11 +60,11 @@ def draw(model: neusub.Subdivider, folder: Path) -> Path:
 
 
 def main() -> None:
-    parser = parser_of("experiments level3", __doc__, "8 pairs, 5 epochs, one shape")
+    parser = parser_of("experiments level3", __doc__, "8 pairs, 5 epochs, one shape", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=700)
-    options = parser.parse_args()
+    options = parsed(parser)
     if options.quick:
         options.pairs, options.epochs = 8, 5
     rows: dict = {scheme: scores(scheme, options) for scheme in ("loop", "butterfly")}
@@ -76,7 +76,7 @@ def main() -> None:
     for name, levels in rows.items():
         for level, row in levels.items():
             print(f"{name:10s}{level}  " + "  ".join(f"{key} {value:.4g}" for key, value in row.items()))
-    if not options.quick:
+    if draws(options):
         print(draw(models["3 levels"], options.meshes))
     write_results("level3", {**provenance(options), "shape": Path(SPOT).stem, "trainings": trainings, "scores": rows},
                   options)

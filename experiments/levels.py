@@ -14,12 +14,11 @@ import argparse
 from pathlib import Path
 
 import numpy as np
-import torch
 from numpy import ndarray
 
 import neusub
 from experiments import measures
-from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, write_results
+from experiments.common import TOSCA, fixed_inputs, fixed_reference, parsed, parser_of, provenance, write_results
 from experiments.drawing import BACK, CLAY, UP, panel, titled, write_panels
 from experiments.measures import FOLD, angles, mean_of, score
 from neusub.map_pictures import View
@@ -98,8 +97,7 @@ def main() -> None:
     parser.add_argument("tosca", type=Path)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--inputs", type=Path, required=True, help="tosca8_coarse.npz, the eight fixed inputs")
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
+    options = parsed(parser)
     rows = table(options, 3 if options.quick else LEVELS)
     for method, levels in rows.items():
         for level, row in levels.items():

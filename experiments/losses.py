@@ -25,7 +25,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 import neusub
-from experiments.common import parser_of, provenance, seeded, write_results
+from experiments.common import draws, parsed, parser_of, provenance, seeded, write_results
 from experiments.drawing import FRONT, UP, panel, red, titled, write_panels
 from experiments.measures import FOLD, angles, is_flipped, mean_of, percents, remeshed
 from experiments.variants import NETWORKS, Fit, fit, refined
@@ -152,11 +152,11 @@ def draw_results(results: dict[str, Fit], pair: Pair, fine: Mesh) -> Path:
 
 
 def main() -> None:
-    parser = parser_of("experiments losses", __doc__, "4 pairs, 5 epochs")
+    parser = parser_of("experiments losses", __doc__, "4 pairs, 5 epochs", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--pairs", type=int, default=20)
     parser.add_argument("--epochs", type=int, default=50)
-    options = parser.parse_args()
+    options = parsed(parser)
     if options.quick:
         options.pairs, options.epochs = 4, 5
     reached = {}
@@ -177,7 +177,7 @@ def main() -> None:
                    for pair, batch in zip(held_out, batches[1])]
         rows[name] = {**mean_of(numbers), "best_epoch": result.best_epoch, "cpu_seconds": round(result.seconds)}
         print(name, json.dumps(rows[name]), flush=True)
-    if not options.quick:
+    if draws(options):
         print(draw_targets(fine, reached[Path(SOURCE).stem], options.seed), draw_results(results, held_out[0], fine))
     write_results("losses", {
         **provenance(options), "source": SOURCE, "pairs": options.pairs, "epochs": options.epochs,

@@ -21,7 +21,7 @@ from pathlib import Path
 import numpy as np
 
 import neusub
-from experiments.common import HERE, parser_of, provenance, write_results
+from experiments.common import HERE, parsed, parser_of, provenance, write_results
 from experiments.measures import SCHEMES, refined
 from neusub.creases import crease_edges
 
@@ -77,7 +77,7 @@ def rows_of(result: neusub.SelfParameterization) -> dict:
 def main() -> None:
     parser = parser_of("experiments manmade", __doc__, "three shapes")
     parser.add_argument("meshes", type=Path)
-    options = parser.parse_args()
+    options = parsed(parser)
     recipe = json.loads((HERE / "recipes" / "default.json").read_text())
     seen = {source["file"] for source in recipe["sources"]}
     shapes: dict = {}

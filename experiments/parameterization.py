@@ -16,7 +16,7 @@ import numpy as np
 from numpy import ndarray
 
 import neusub
-from experiments.common import parser_of, provenance, write_results
+from experiments.common import parsed, parser_of, provenance, write_results
 from experiments.measures import remeshed, round_trip
 from neusub import Criteria, Mesh, SelfParameterization, decimate
 from neusub.selfparam.maps import decimate_maps
@@ -209,7 +209,7 @@ def discretizations(folder: Path, count: int) -> dict:
 def main() -> None:
     parser = parser_of("experiments parameterization", __doc__, "fewer and smaller meshes, no pictures")
     parser.add_argument("meshes", type=Path)
-    options = parser.parse_args()
+    options = parsed(parser)
     folder, quick = options.meshes, options.quick
     numbers = {
         "fig:withWithoutConformal": conformal(folder),

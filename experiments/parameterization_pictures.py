@@ -88,7 +88,7 @@ def draw_strategies(folder: Path) -> Path:
     view = View(mesh, (270, 330), BACK, UP)
     results = {name: decimate(mesh, n_faces=FACES, strategy=name) for name in STRATEGIES}
     return write_panels("strategies", [[wireframe(r.coarse, view) for r in results.values()],
-                                [titled(patches(r, view), name) for name, r in results.items()]])
+                                       [titled(patches(r, view), name) for name, r in results.items()]])
 
 
 def draw_maps(folder: Path) -> Path:

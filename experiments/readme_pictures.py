@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import argparse
 import subprocess
 import sys
 import tempfile
@@ -19,6 +20,8 @@ EXAMPLES = HERE.parent / "examples"
 
 
 def main() -> None:
+    argparse.ArgumentParser(prog="python -m experiments readme_pictures", description=__doc__,
+                            formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         subprocess.run([sys.executable, str(EXAMPLES / "demo.py"), "--output", folder], check=True)

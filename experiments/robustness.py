@@ -17,7 +17,7 @@ import igl
 import numpy as np
 
 import neusub
-from experiments.common import parser_of, provenance, write_results
+from experiments.common import parsed, parser_of, provenance, write_results
 from experiments.measures import is_turned
 from neusub import NeusubError
 
@@ -60,12 +60,12 @@ def main() -> None:
     parser.add_argument("--levels", type=int, default=LEVELS)
     parser.add_argument("--model", default="default", help="a name or a file")
     parser.add_argument("--most-faces", type=int, default=5000, help="meshes with more are refined decimated only")
-    options = parser.parse_args()
+    options = parsed(parser)
     model, rows, refused = neusub.Subdivider.load(options.model), {}, {}
     with (options.meshes / "INDEX.csv").open(newline="") as file:
         entries = [row for row in csv.DictReader(file) if row["manifold"] == "True"]
     if options.quick:
-        entries, options.levels = entries[::len(entries) // 10], 2
+        entries, options.levels = entries[:: max(1, len(entries) // 10)][:10], 2
     for row in entries:
         try:
             meshes = coarse_meshes(options.meshes, row, options.most_faces)

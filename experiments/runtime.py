@@ -29,7 +29,7 @@ from scipy.spatial import cKDTree
 from torch import Tensor
 
 import neusub
-from experiments.common import HERE, add_result, parser_of, provenance, read_results
+from experiments.common import HERE, add_result, parsed, parser_of, provenance, read_results
 from experiments.drawing import write_chart
 
 SHOWS = ("fig:runtime", "sec:SSS")
@@ -212,8 +212,7 @@ def ratios(rows: list[dict]) -> list[dict]:
 def main() -> None:
     parser = parser_of("experiments runtime", __doc__, "small sizes")
     parser.add_argument("--only", choices=SHOWS, help="one of the two; the other's last results stay")
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
+    options = parsed(parser)
     if options.only != "fig:runtime":
         measured = decimations(70_000 if options.quick else 2_100_000)
         add_result("runtime", ["sec:SSS"], {**provenance(options), **measured}, options)

@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 
 import neusub
-from experiments.common import TOSCA, parser_of, provenance, write_results
+from experiments.common import TOSCA, parsed, parser_of, provenance, write_results
 from experiments.measures import remeshed, round_trip
 from neusub import Mesh, PairConfig, decimate
 from neusub.discretization import generator_of, in_unit_box, make_pair, summary
@@ -80,7 +80,7 @@ def pair_quality(mesh: Mesh, count: int) -> dict:
 def main() -> None:
     parser = parser_of("experiments selfparam_quality", __doc__, "one shape, 4 pairs")
     parser.add_argument("data", type=Path, help="the folder that holds meshes/ and tosca/")
-    options = parser.parse_args()
+    options = parsed(parser)
     shapes, paired, count = REFERENCE, PAIRS, 40
     if options.quick:
         shapes, paired, count = dict(list(REFERENCE.items())[:1]), PAIRS[:1], 4

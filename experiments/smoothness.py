@@ -16,7 +16,7 @@ import sys
 import numpy as np
 
 import neusub
-from experiments.common import HERE, parser_of, provenance, write_results
+from experiments.common import HERE, parsed, parser_of, provenance, write_results
 from experiments.measures import FOLD, SCHEMES, angles, refined, score
 from neusub.metrics import face_normals
 
@@ -54,7 +54,7 @@ def numbers_of(mesh: neusub.Mesh, name: str, truth: neusub.Mesh | None) -> dict:
 
 
 def main() -> None:
-    options = parser_of("experiments smoothness", __doc__, "two of the meshes").parse_args()
+    options = parsed(parser_of("experiments smoothness", __doc__, "two of the meshes, and the ring at level 3"))
     sys.path.insert(0, str(HERE.parent / "examples"))
     import demo
 

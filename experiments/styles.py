@@ -27,6 +27,8 @@ import neusub
 from experiments.common import (
     TOSCA,
     add_result,
+    draws,
+    parsed,
     parser_of,
     provenance,
     read_results,
@@ -182,13 +184,13 @@ def earlier_models(rows: dict, options: Namespace) -> dict[str, neusub.Subdivide
 
 
 def main() -> None:
-    parser = parser_of("experiments styles", __doc__, "8 pairs, 5 epochs, fewer shapes")
+    parser = parser_of("experiments styles", __doc__, "8 pairs, 5 epochs, fewer shapes", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--tosca", type=Path, help="for the training `pose`")
     parser.add_argument("--pairs", type=int, default=200)
     parser.add_argument("--epochs", type=int, default=700)
     parser.add_argument("--only", nargs="+", choices=tuple(TRAININGS), help="trainings; all by default")
-    options = parser.parse_args()
+    options = parsed(parser)
     if options.quick:
         options.pairs, options.epochs = 8, 5
     names = options.only or [name for name in TRAININGS if name != "pose" or options.tosca]
@@ -204,7 +206,7 @@ def main() -> None:
                                               options)
         show(name, row)
         add_result("styles", ["trainings", name], row, options)
-    if not options.quick:
+    if draws(options):
         from experiments.styles_pictures import draw
 
         draw(models | earlier_models(read_results("styles")["trainings"], options), options)

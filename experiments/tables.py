@@ -8,6 +8,7 @@ the function NAME here.  After an experiment ran again, this puts its numbers wh
 
 from __future__ import annotations
 
+import argparse
 import json
 import re
 from collections.abc import Callable, Iterable, Sequence
@@ -16,12 +17,12 @@ from pathlib import Path
 import numpy as np
 
 from experiments.common import HERE
+from experiments.measures import KINDS, SCHEMES
 
 ROOT = HERE.parent
 LABELS = {"loop": "Loop", "bunny": "`bunny`", "elephant": "`elephant`", "default": "`default`",
           "default, uncross": "`default`, crossings taken back"}
-KINDS = "on_surface", "decimated"
-ALL = ("midpoint", "loop", "butterfly", "elephant", "default")
+ALL = (*SCHEMES, "elephant", "default")
 MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
@@ -197,10 +198,9 @@ def ablation_long() -> str:
 def table2(part: str) -> str:
     data, kinds = results("table2"), {"on_surface": "on the surface", "decimated": "decimated"}
     free, bounded = data[part], data[f"{part}, bounded"]
-    schemes = ("midpoint", "loop", "butterfly")
 
     def row(name: str, of: Callable[[dict, str], dict], weight: str = "") -> list[str]:
-        cells = [*(hm(of(free, m)) for m in schemes), hm(of(free, "network")), hm(of(bounded, "network"))]
+        cells = [*(hm(of(free, m)) for m in SCHEMES), hm(of(free, "network")), hm(of(bounded, "network"))]
         return [f"{weight}{cell}{weight}" for cell in (name, *cells)]
 
     shapes = {name: row["shapes"] for name, row in free["on_surface"]["loop"]["categories"].items()}
@@ -252,7 +252,7 @@ def trainings() -> str:
 def trainings_shapes() -> str:
     """The best of them, category by category."""
     data = [results("table2")[f"{part}, surface, 350 to 450 vertices, varied, by area"] for part in ("top", "bottom")]
-    methods = [(0, scheme) for scheme in ALL[:3]] + [(0, "network"), (1, "network")]
+    methods = [(0, scheme) for scheme in SCHEMES] + [(0, "network"), (1, "network")]
     rows = []
     for category, entry in data[0]["on_surface"]["loop"]["categories"].items():
         found = [data[part]["on_surface"][method]["categories"].get(category) for part, method in methods]
@@ -263,7 +263,7 @@ def trainings_shapes() -> str:
         rows.append([f"**{cell}**" if cell else "" for cell in (f"mean, {name}", *cells)])
     cells = [hm(data[part]["fixed_inputs"]["on_surface"][method]) for part, method in methods]
     rows.append(["eight fixed inputs, on the surface", *cells])
-    return markdown(["on-surface inputs, H / M", *map(label, ALL[:3]), "network, top", "network, bottom"], rows)
+    return markdown(["on-surface inputs, H / M", *map(label, SCHEMES), "network, top", "network, bottom"], rows)
 
 
 def shares(part: str) -> str:
@@ -317,7 +317,7 @@ def styles() -> str:
     names = {"spot": "trained on spot, smooth", "wingnut": "trained on a wingnut, sharp", "two": "trained on both",
              "four": "trained on both, a fish and a hammer", "organic": "trained on four organic shapes",
              "mechanical": "trained on four man-made shapes"}
-    entries = {label(scheme): data["baselines"][scheme] for scheme in ALL[:3]}
+    entries = {label(scheme): data["baselines"][scheme] for scheme in SCHEMES}
     entries |= {title: data["trainings"][name]["held_out"] for name, title in names.items()}
     rows = [[name, *(hmn(entry[group]) for group in ("organic", "man-made")),
              f"{entry['crease_kept_percent']['mean']:.0f}"] for name, entry in entries.items()]
@@ -372,6 +372,7 @@ def losses() -> str:
              f"{row['M']:.3f}", str(row["cpu_seconds"])] for name, row in results("losses")["results"].items()]
     return markdown(["loss", "flipped, %", "folded, %", "covered, %", "H", "M", "seconds of one core"], rows)
 
+
 TABLES: dict[str, Callable[[], str]] = {function.__name__: function for function in (
     fixed_inputs, teaser, all_levels, fit, artists, texture, semantic, modeling, levels_distance, levels_angle,
     upsampling, cages, ablation, ablation_full, ablation_long, runtime_loss, runtime_decimation, styles, poses,
@@ -389,6 +390,8 @@ def pages() -> list[Path]:
 
 
 def main() -> None:
+    argparse.ArgumentParser(prog="python -m experiments tables", description=__doc__,
+                            formatter_class=argparse.RawDescriptionHelpFormatter).parse_args()
     for page in pages():
         old = page.read_text()
         new = renewed(old)

@@ -22,7 +22,7 @@ from scipy.spatial.transform import Rotation
 from torch import Tensor
 
 import neusub
-from experiments.common import parser_of, provenance, seeded, write_results
+from experiments.common import draws, parsed, parser_of, provenance, seeded, write_results
 from experiments.drawing import BACK, UP, panel, titled, write_picture
 from experiments.variants import NETWORKS, Fit, fit, refined
 from neusub import PairConfig, TrainingConfig
@@ -106,10 +106,10 @@ def charts(rows: dict, width: int) -> Image.Image:
 
 
 def main() -> None:
-    parser = parser_of("experiments translation", __doc__, "50 epochs")
+    parser = parser_of("experiments translation", __doc__, "50 epochs", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--epochs", type=int, default=600, help="of one step each")
-    options = parser.parse_args()
+    options = parsed(parser)
     pair = one_pair(options)
     batch = batch_pairs([pair])
     config = TrainingConfig(epochs=50 if options.quick else options.epochs, seed=options.seed,
@@ -121,7 +121,7 @@ def main() -> None:
                       "angle": [[a, error(result, batch, *motion(angle=a))] for a in ANGLES],
                       "shift": [[s, error(result, batch, *motion(shift=s))] for s in SHIFTS]}
         print(name, json.dumps(rows[name]), flush=True)
-    if not options.quick:
+    if draws(options):
         print(draw(results, pair, batch, rows))
     write_results("translation", {**provenance(options), "source": SOURCE, "vertices": pair.level_sizes[0],
                                   "epochs": config.epochs,

@@ -23,13 +23,12 @@ from pathlib import Path
 
 import igl
 import numpy as np
-import torch
 from numpy import ndarray
 from scipy.spatial import cKDTree
 
 import neusub
 from experiments import measures
-from experiments.common import TOSCA, fixed_inputs, fixed_reference, parser_of, provenance, write_results
+from experiments.common import TOSCA, fixed_inputs, fixed_reference, parsed, parser_of, provenance, write_results
 from experiments.drawing import BACK, UP, panel, titled, write_panels
 from experiments.measures import mean_of, score
 from neusub.map_pictures import View
@@ -179,8 +178,7 @@ def main() -> None:
     parser.add_argument("tosca", type=Path)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--inputs", type=Path, required=True, help="tosca8_coarse.npz, the eight fixed inputs")
-    options = parser.parse_args()
-    torch.set_num_threads(options.threads)
+    options = parsed(parser)
     meshes = fixed_inputs(options.inputs, "on_surface")
     names = list(meshes)[: 2 if options.quick else None]
     rows = table(options, names)

@@ -14,7 +14,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import neusub
-from experiments.common import HERE, parser_of, provenance, seeded, ship, show, training_scores, write_results
+from experiments.common import HERE, parsed, parser_of, provenance, seeded, ship, show, training_scores, write_results
 from experiments.sources import solid
 from neusub import PRESETS, PairConfig
 
@@ -22,7 +22,9 @@ SOLIDS = 8
 MODELS = {  # description, and the sources: names in recipes/default.json, or a file with its terms
     "bunny": ("one shape, as in the paper's teaser; research, non-commercial: a Stanford scan",
               [{"file": "organic/oded_bunny_hr.ply", "repository": "odedstein/meshes",
-                "path": "objects/bunny/bunny_hr.obj", "licence": "Stanford terms: research, non-commercial"}]),
+                "path": "objects/bunny/bunny_hr.obj", "author": "Stanford University Computer Graphics Laboratory",
+                "url": "https://graphics.stanford.edu/data/3Dscanrep/",
+                "licence": "Stanford terms: research, non-commercial"}]),
     "organic": ("smooth organic shapes; the paper's network, trained on eight of them",
                 ["cat", "fish", "hand", "human_man", "koala", "penguin", "spot", "blub"]),
     "mechanical": ("man-made shapes with sharp edges; the paper's network, trained on twelve of them",
@@ -48,11 +50,11 @@ def sources_of(name: str, meshes: Path, folder: Path) -> tuple[list[Path], list[
 
 
 def main() -> None:
-    parser = parser_of("experiments weights", __doc__, "16 pairs, two epochs; not shipped")
+    parser = parser_of("experiments weights", __doc__, "16 pairs, two epochs; not shipped", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("name", choices=tuple(MODELS))
     parser.add_argument("--ship", action="store_true", help="make the best weights a model of the package")
-    options = parser.parse_args()
+    options = parsed(parser)
     folder = options.runs / "weights" / seeded(f"{options.name}{'-quick' * options.quick}", options)
     total, validation, epochs = (16, 2, 2) if options.quick else (200, 24, 250)
     (folder / "sources").mkdir(parents=True, exist_ok=True)

@@ -16,7 +16,7 @@ from experiments.measures import volume
 from scipy.optimize import least_squares
 
 import shapes
-from neusub import Mesh, TrainingConfig
+from neusub import Mesh, Subdivider, TrainingConfig
 from neusub.generation import batch_pairs
 from neusub.metrics import face_normals
 from test_training import loop_pair
@@ -37,9 +37,17 @@ def test_every_experiment_has_a_quick_run(name, monkeypatch, capsys):
     assert "--quick" in capsys.readouterr().out
 
 
+@pytest.mark.parametrize("path", sorted((HERE.parent / "src/neusub/weights").glob("*.safetensors")),
+                         ids=lambda path: path.stem)
+def test_shipped_weights_name_the_authors_of_their_sources(path):
+    for source in Subdivider.load(path).card["sources"]:
+        assert source["licence"]
+        assert source["file"].startswith("experiments/") or source["author"]
+
+
 def test_results_are_added_to_and_kept_apart_by_seed(tmp_path, monkeypatch):
     monkeypatch.setattr("experiments.common.RESULTS", tmp_path)
-    parser = parser_of("experiments x", "", "less")
+    parser = parser_of("experiments x", "", "less", trains=True)
     for words in ([], ["--seed", "1"], ["--seed", "2", "--quick"]):
         options = parser.parse_args(words)
         add_result("sums", ["of", "two"], {"is": options.seed}, options)

@@ -157,8 +157,30 @@ def test_gltf_is_read_with_the_buffers_beside_it(tmp_path):
 
 
 def test_compressed_gltf_is_refused_by_name(tmp_path):
-    path = _gltf(tmp_path, extensionsRequired=["KHR_materials_unlit", "KHR_draco_mesh_compression"])
-    with pytest.raises(errors.MeshFileError, match="needs the glTF extension KHR_draco_mesh_compression, which"):
+    path = _gltf(tmp_path, extensionsRequired=["KHR_materials_unlit", "EXT_meshopt_compression"])
+    with pytest.raises(errors.MeshFileError, match="glTF extension EXT_meshopt_compression, which is not read"):
+        load(path)
+
+
+def test_quantized_positions_are_read_as_integers_and_refused_as_shares(tmp_path):
+    path = _gltf(tmp_path, extensionsRequired=["KHR_mesh_quantization"])
+    tree = json.loads(path.read_text())
+    accessor = tree["accessors"][tree["meshes"][0]["primitives"][0]["attributes"]["POSITION"]]
+    view = tree["bufferViews"][accessor["bufferView"]]
+    buffer = tmp_path / tree["buffers"][view["buffer"]]["uri"]
+    start, count = view.get("byteOffset", 0), accessor["count"]
+    data = bytearray(buffer.read_bytes())
+    corners = np.frombuffer(bytes(data[start : start + 12 * count]), np.float32).reshape(-1, 3)
+    steps = np.zeros((count, 4), np.int16)  # of eight bytes, as a stride has to be a multiple of four
+    steps[:, :3] = 100 * corners
+    data[start : start + 8 * count] = steps.tobytes()
+    buffer.write_bytes(data)
+    view["byteStride"], accessor["componentType"] = 8, 5122
+    path.write_text(json.dumps(tree))
+    np.testing.assert_array_equal(load(path).vertices, steps[:, :3])
+    accessor["normalized"] = True
+    path.write_text(json.dumps(tree))
+    with pytest.raises(errors.MeshFileError, match="has positions or UVs in shares"):
         load(path)
 
 

@@ -36,9 +36,9 @@ def check_output(inputs: tuple[Path, ...], output: Path) -> None:
     if not is_folder(inputs, output):
         return
     from neusub.errors import MeshFileError
-    from neusub.io import KINDS
+    from neusub.io import KINDS, READ_ONLY
 
-    if output.suffix.lower() in KINDS or output.is_file():
+    if output.suffix.lower() in (*KINDS, *READ_ONLY) or output.is_file():
         raise MeshFileError(f"{output}: with several inputs, or no extension, the output is a folder. Give one with "
                             "-o.")
     names = [name_in_folder(path) for path in inputs]
@@ -68,7 +68,7 @@ def loaded(path: Path) -> tuple[Mesh, list[str]]:
     from neusub.io import load
 
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+        warnings.simplefilter("ignore", UserWarning)
         mesh = load(path)
     return mesh, [f"{path}: {line}" for line in mesh.load_report]
 

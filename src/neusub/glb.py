@@ -6,6 +6,7 @@ import io
 import json
 import struct
 from collections.abc import Iterator
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from urllib.parse import unquote
@@ -24,24 +25,23 @@ __all__ = ["parse_glb", "write_glb"]
 
 
 # Extensions that a file may require: without these the triangles are the same.
-HARMLESS = ("KHR_texture_", "EXT_texture_", "KHR_materials_", "KHR_lights_punctual", "KHR_xmp_json_ld")
+HARMLESS = ("KHR_texture_", "EXT_texture_", "KHR_materials_", "KHR_lights_", "KHR_animation_", "KHR_node_", "KHR_xmp",
+            "EXT_mesh_features", "EXT_structural_metadata", "CESIUM_primitive_outline", "KHR_mesh_quantization")
+COMPRESSED = ("KHR_draco_", "EXT_meshopt_", "KHR_meshopt_")
 
 
 def parse_glb(data: bytes, path: Path) -> RawMesh:
     """All triangles of the scene, in world coordinates, joined across seams (UV, normal, primitive) and at copies.
 
-    Raises MeshFileError for a file that needs extensions which are not read (compression, quantization), and for a
-    missing buffer of a glTF file.
+    Raises MeshFileError for a file that needs an extension which is not read, or has quantized positions or UVs,
+    and for a missing buffer of a glTF file.
     """
     from trimesh.exchange.gltf import load_glb, load_gltf
     from trimesh.scene.transforms import SceneGraph
 
     is_binary = data[:4] == b"glTF"
     header = _header(data, is_binary)
-    unread = [name for name in header.get("extensionsRequired", ()) if not name.startswith(HARMLESS)]
-    if unread:
-        raise MeshFileError(f"{path} needs the glTF extension {', '.join(unread)}, which is not read. Export it "
-                            "without compression and quantization.")
+    _check_extensions(header, path)
     images = _FilesBeside(path.parent)
     content: dict[str, Any] = dict((load_glb if is_binary else load_gltf)(io.BytesIO(data), resolver=images))
     graph = SceneGraph()
@@ -63,27 +63,52 @@ def parse_glb(data: bytes, path: Path) -> RawMesh:
     return raw
 
 
-def _textures_left_out(raw: RawMesh, header: dict[str, Any], missing: list[str]) -> Iterator[str]:
-    """A line for each material whose texture is not here, or not as the file has it."""
-    bare = {material.name for material in raw.materials if not material.textures}
-    for number, material in enumerate(header.get("materials", ())):
-        name = material.get("name", f"number {number}")
-        texture = material.get("pbrMetallicRoughness", {}).get("baseColorTexture")
-        if texture is None:
-            continue
-        if name.replace(" ", "_") in bare and not missing:
-            yield f"material {name}: its image cannot be read; the texture is left out"
-        elif "KHR_texture_transform" in texture.get("extensions", {}):
-            yield f"material {name}: KHR_texture_transform left out; its texture may be off"
-
-
 def _header(data: bytes, is_binary: bool) -> dict[str, Any]:
     """The JSON of the file; of a GLB it is the first chunk."""
+    from trimesh.util import decode_text
+
     text = data
     if is_binary:
         length, = struct.unpack_from("<I", data, 12)
         text = data[20 : 20 + length]
-    return json.loads(text)
+    return json.loads(decode_text(text))
+
+
+def _primitives(header: dict[str, Any]) -> Iterator[dict[str, Any]]:
+    for mesh in header.get("meshes") or ():
+        yield from mesh.get("primitives") or ()
+
+
+def _check_extensions(header: dict[str, Any], path: Path) -> None:
+    """Raises MeshFileError where trimesh would read other positions than the file has, or none."""
+    can_draco = find_spec("DracoPy") is not None  # trimesh calls it by itself
+    for name in header.get("extensionsRequired") or ():
+        if not (name.startswith(HARMLESS) or (can_draco and name.startswith("KHR_draco_"))):
+            way = "without compression" if name.startswith(COMPRESSED) else "without it"
+            raise MeshFileError(f"{path} needs the glTF extension {name}, which is not read. Export the mesh {way}.")
+    accessors: list[dict[str, Any]] = header.get("accessors") or []
+    used = (primitive.get("attributes", {}).get(name) for primitive in _primitives(header)
+            for name in ("POSITION", "TEXCOORD_0"))
+    if any(accessors[number].get("normalized") for number in used if number is not None):
+        raise MeshFileError(f"{path} has positions or UVs in shares of the range of integers (KHR_mesh_quantization), "
+                            "which are not read. Export the mesh without quantization.")
+
+
+def _textures_left_out(raw: RawMesh, header: dict[str, Any], missing: list[str]) -> Iterator[str]:
+    """A line for each material in use whose texture is not here, or not as the file has it."""
+    bare = {material.name for material in raw.materials if not material.textures}
+    has_bare_unnamed = any(name.startswith("material_") for name in bare)
+    materials: list[dict[str, Any]] = header.get("materials") or []
+    for number in sorted({primitive.get("material", -1) for primitive in _primitives(header)} - {-1}):
+        texture = (materials[number].get("pbrMetallicRoughness") or {}).get("baseColorTexture")
+        name = str(materials[number].get("name", ""))
+        if texture is None:
+            continue
+        if name.replace(" ", "_") in bare or (not name and has_bare_unnamed):
+            if not missing:  # those have their own line
+                yield f"material {name or number}: its image cannot be read; the texture is left out"
+        elif "KHR_texture_transform" in texture.get("extensions", {}):
+            yield f"material {name or number}: KHR_texture_transform left out; its texture may be off"
 
 
 class _FilesBeside(dict[str, bytes]):
