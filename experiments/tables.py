@@ -3,7 +3,8 @@
     python -m experiments tables
 
 In README.md and docs/, what stands between the lines `<!-- table NAME -->` and `<!-- end -->` is the return value of
-the function NAME here or in `table2_tables.py`.  After an experiment ran again, this puts its numbers where they are read.
+the function NAME here or in `table2_tables.py`.  After an experiment ran again, this puts its numbers where they are
+read.
 """
 
 from __future__ import annotations
