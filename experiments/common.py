@@ -128,7 +128,7 @@ def replace_results(name: str, numbers: dict) -> None:
 
 def training_scores(result: TrainingResult) -> dict:
     return {"epochs": result.epochs, "best_validation_loss": result.best_loss, "best_epoch": result.best_epoch,
-            "seconds": round(result.seconds)}
+            "validation_loss_in_use": result.loss_in_use, "seconds": round(result.seconds)}
 
 
 def ship(name: str, command: str, description: str, result: TrainingResult) -> None:

@@ -5,7 +5,8 @@ import pytest
 
 import shapes
 from neusub.errors import PairFileError
-from neusub.generation import Pair, check_pair, import_pairs, load_pairs, read_header, save_pairs, shortened
+from neusub.generation import Pair, batch_pairs, check_pair, load_pairs, read_header, save_pairs, shortened
+from neusub.importing import import_pairs
 from test_network import make_pair
 
 
@@ -83,6 +84,42 @@ def test_folders_of_obj_levels_are_imported(pairs, tmp_path):
     (tmp_path / "out" / "manifest.json").write_text("{}")
     with pytest.raises(PairFileError, match="holds pairs of other meshes already"):
         import_pairs(tmp_path / "in", tmp_path / "out")
+
+
+def test_new_vertices_of_obj_levels_may_be_in_any_order(pairs, tmp_path):
+    """As other software numbers them: the pair has the order of `topology.py` all the same."""
+    pair, rng = pairs[0], np.random.default_rng(0)
+    connectivity = [t.faces for t in pair.topologies] + [pair.topologies[-1].refined_faces]
+    place = np.arange(pair.level_sizes[-1])  # in the files, of each vertex
+    for before, size in zip(pair.level_sizes, pair.level_sizes[1:]):
+        place[before:size] = rng.permutation(np.arange(before, size))
+    points = np.empty_like(pair.targets)
+    points[place] = pair.targets
+    for level, size in enumerate(pair.level_sizes):
+        (tmp_path / f"in/subd{level}").mkdir(parents=True)
+        faces = rng.permutation(np.roll(place[connectivity[level]], level, axis=1))
+        write_obj(tmp_path / f"in/subd{level}/a.obj", points[:size], faces if level else connectivity[0])
+    (now,) = load_pairs(import_pairs(tmp_path / "in", tmp_path / "out")[0])
+    assert np.array_equal(now.faces, pair.faces)
+    np.testing.assert_allclose(now.targets, pair.targets, atol=1e-6)
+
+
+@pytest.mark.parametrize("break_faces", [lambda faces: faces[:, ::-1], lambda faces: faces[:-1],
+                                         lambda faces: np.where(faces == faces.max(), faces.max() - 1, faces)])
+def test_obj_levels_that_are_not_refinements_are_refused(pairs, tmp_path, break_faces):
+    pair = pairs[0]
+    for level, faces in enumerate((pair.faces, break_faces(pair.topologies[0].refined_faces))):
+        (tmp_path / f"in/subd{level}").mkdir(parents=True)
+        write_obj(tmp_path / f"in/subd{level}/a.obj", pair.targets[: pair.level_sizes[level]], faces)
+    with pytest.raises(PairFileError, match=r"subd1/a\.obj: it is not the level before with each face split"):
+        import_pairs(tmp_path / "in", tmp_path / "out")
+
+
+def test_a_batch_of_several_depths_is_a_named_error(pairs):
+    with pytest.raises(PairFileError, match=r"a batch of pairs of \[1, 2\] levels"):
+        batch_pairs([pairs[0], shortened(pairs[1], 1)])
+    with pytest.raises(PairFileError, match="a batch of pairs of no levels"):
+        batch_pairs([])
 
 
 def test_the_authors_archive_gives_200_and_10_pairs(elephant, tmp_path):

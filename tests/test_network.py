@@ -269,7 +269,8 @@ def test_rigid_motion_costs_no_more_than_in_the_reference(golden, name, way):
 
 
 def test_the_validation_loss_equals_the_reference(golden, elephant, tmp_path, way):
-    from neusub.generation import import_pairs, load_pairs
+    from neusub.generation import load_pairs
+    from neusub.importing import import_pairs
     from neusub.training import validate
 
     paths = import_pairs(elephant, tmp_path)

@@ -12,13 +12,14 @@ from safetensors.torch import load_file, save_file
 import shapes
 from neusub.configuration import Architecture, TrainingConfig
 from neusub.errors import PairFileError, TrainingError
-from neusub.generation import Pair, batch_pairs, load_pairs, save_pairs, shortened
+from neusub.generation import Pair, batch_pairs, load_pairs, save_pairs, scaled, shortened
 from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
+from neusub.threads import in_threads, some_threads, workers_of
 from neusub.topology import topology_levels
-from neusub.training import PRESETS, batch_of, in_threads, train, validate, workers_of
+from neusub.training import PRESETS, batch_of, train, validate
 from test_network import make_pair
 
 CONFIG = TrainingConfig(epochs=4, checkpoint_every=1, device="cpu")
@@ -80,10 +81,13 @@ def test_an_interrupted_and_resumed_run_equals_an_uninterrupted_one_bit_for_bit(
 @pytest.mark.parametrize("options", [{}, {"network": PRESETS["default"].network, "loss": "surface", "shallow": 0.5}])
 def test_threads_share_a_batch_and_learn_what_one_does(files, tmp_path, options):
     rows: dict[int, list] = {1: [], 2: []}
+    before = torch.get_num_threads()
     for count, found in rows.items():
         config = replace(CONFIG, batch=3, threads=count, learning_rate=1e-4, **options)
+        with some_threads(count):
+            assert workers_of(config, torch.device("cpu")) == count
         train(*files, tmp_path / str(count), config, on_epoch=found.append)
-        assert torch.get_num_threads() == workers_of(config, torch.device("cpu")) == count
+        assert torch.get_num_threads() == before
     losses = [[(row["training_loss"], row["validation_loss"]) for row in found] for found in rows.values()]
     np.testing.assert_allclose(*losses, rtol=1e-4)
     assert np.ptp(losses[0], axis=0).min() > 1e-3 * losses[0][0][0]  # they do learn
@@ -383,3 +387,57 @@ def test_a_misspelt_option_is_named(name, value):
 def test_a_weight_below_zero_is_named():
     with pytest.raises(ValueError, match="normals = -1: take 0"):
         replace(CONFIG, normals=-1)
+
+
+def test_the_model_has_the_loss_that_it_has_in_use(files, tmp_path):
+    """Its bounds are not the training's; the card says both losses."""
+    result = train(*files, tmp_path / "run", replace(CONFIG, bound=(0.01, 0.01)))
+    model = Subdivider.load(tmp_path / "run" / "model.safetensors", device="cpu")
+    validation = [batch_of([pair], CONFIG, torch.device("cpu")) for pair in load_pairs(files[1][0])]
+    in_use = validate(model.network, validation, CONFIG)
+    assert model.card["scores"] == {"validation_loss": result.best_loss, "validation_epoch": result.best_epoch,
+                                    "validation_loss_in_use": pytest.approx(in_use, rel=1e-6)}
+    assert in_use > 1.01 * result.best_loss
+    assert result.loss_in_use == model.card["scores"]["validation_loss_in_use"]
+
+
+def test_without_held_out_pairs_the_loss_is_called_that_of_the_training(files, tmp_path):
+    rows: list[dict] = []
+    result = train(files[0], [], tmp_path / "run", CONFIG, on_epoch=rows.append)
+    assert result.model.card["scores"].keys() == {"training_loss", "training_epoch"}
+    assert result.loss_in_use is None
+    assert all(np.isnan(row["validation_loss"]) and np.isfinite(row["best_loss"]) for row in rows)
+
+
+def test_the_card_has_the_scale_of_the_pairs(files, tmp_path):
+    pairs = [scaled(pair, 100.0) for pair in load_pairs(files[0][0])]
+    save_pairs(pairs, tmp_path / "large.safetensors", {})
+    card = train([tmp_path / "large.safetensors"], [], tmp_path / "run", CONFIG).model.card
+    boxes = [np.ptp(pair.positions("on_surface"), axis=0).max() for pair in pairs]
+    assert card["scale"]["box"] == pytest.approx(np.mean(boxes))
+    assert 0.05 < card["scale"]["edge"] / card["scale"]["box"] < 1
+
+
+def test_resuming_a_finished_run_writes_its_model(files, tmp_path):
+    train(*files, tmp_path / "run", CONFIG)
+    (tmp_path / "run" / "model.safetensors").unlink()
+    train(*files, tmp_path / "run", replace(CONFIG, bound=None), resume=True)
+    assert Subdivider.load(tmp_path / "run" / "model.safetensors", device="cpu").network.plan.bound is None
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"settle": -1.0}, "settle = -1.0: take at least 0"), ({"sharp": -1.0}, "sharp = -1.0: take at least 0"),
+    ({"cycles": 2}, "cycles = 2: a constant schedule has none")])
+def test_options_out_of_range_are_refused_before_any_work(options, message):
+    with pytest.raises(ValueError, match=message):
+        TrainingConfig(**options)
+
+
+def test_pairs_without_decimated_vertices_are_refused_before_a_folder_is_made(files, tmp_path):
+    with pytest.raises(PairFileError, match="no decimated positions"):
+        train(*files, tmp_path / "run", replace(CONFIG, input="decimated"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_device_may_have_a_number(files, tmp_path):
+    assert train(*files, tmp_path / "run", replace(CONFIG, device="cpu:0", epochs=1)).epochs == 1

@@ -29,7 +29,7 @@ _WHERE = {
     "remesh": "remeshing",
     "render": "pictures",
     "make_pairs": "discretization",
-    "import_pairs": "generation",
+    "import_pairs": "importing",
     "train": "training",
     "PairConfig": "configuration",
     "TrainingConfig": "configuration",
@@ -68,7 +68,7 @@ if TYPE_CHECKING:
     from neusub.discretization import make_pairs as make_pairs
     from neusub.errors import MeshError as MeshError
     from neusub.errors import NeusubError as NeusubError
-    from neusub.generation import import_pairs as import_pairs
+    from neusub.importing import import_pairs as import_pairs
     from neusub.io import load as load
     from neusub.io import save as save
     from neusub.mesh import Mesh as Mesh

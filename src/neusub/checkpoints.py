@@ -54,7 +54,7 @@ def load_checkpoint(path: Path, run: Run) -> None:
             tensors = {key: file.get_tensor(key) for key in file.keys()}  # noqa: SIM118 (not a dict)
     except (SafetensorError, OSError, KeyError, ValueError) as error:
         raise TrainingError(f"{path}: not a readable checkpoint ({error}). Remove it to begin anew.") from None
-    free = {"device", "threads", "checkpoint_every", *FOR_USE}  # change nothing learned
+    free = {"device", "threads", "checkpoint_every", *FOR_USE}  # change nothing learned but its rounding
     here, default = (json.loads(json.dumps(asdict(config))) for config in (run.config, TrainingConfig()))
     lengths = [config["epochs"] // config["cycles"] for config in ({**default, **header["config"]}, here)]
     if run.config.schedule == "constant" or lengths[0] == lengths[1]:  # a run may go on for more cycles

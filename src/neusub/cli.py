@@ -62,8 +62,9 @@ def subdivide_command(
         from neusub.io import KINDS, save
 
         check_free(targets, overwrite, KINDS)
-        for option, value in (("model", model), ("input", input)):
-            if value is not None and scheme != "neural":
+        for option, value, default in (("model", model, None), ("input", input, None), ("scale", scale, "edge"),
+                                       ("device", device, "auto")):
+            if value != default and scheme != "neural":
                 raise ValueError(f"--{option} {value} is for networks, the scheme is {scheme}. Leave one of them out.")
 
         mesh, notes = loaded(path)

@@ -25,7 +25,8 @@ def import_pairs_command(source: Positional[Path], /, output: Output, *, licence
         licence: Of the source, for the files' headers and the cards of models.
     """
     def work(path: Path) -> list[str]:
-        from neusub.generation import import_pairs, read_header
+        from neusub.generation import read_header
+        from neusub.importing import import_pairs
 
         return [f"{file}: {read_header(file)['count']} pairs" for file in import_pairs(path, output, licence=licence)]
 
@@ -118,7 +119,8 @@ def train_command(
         pairs: Pair files, or folders that 'neusub pairs' or 'neusub import-pairs' wrote.
         out: Folder for the model, checkpoint.safetensors, log.csv and TensorBoard events.
         validation: Pair files, or folders of them, to choose the best epoch by.
-        preset: paper: one mesh a step, Adam 2e-3, 700 epochs; fast: four a step, cosine schedule, 400 epochs; default:
+        preset: paper: one mesh a step, Adam 2e-3, 700 epochs (the model's displacements are bounded, the paper's and
+            the training's are not); fast: four a step, cosine schedule, 400 epochs; default:
             the network that 'neusub subdivide' uses, which knows no scale and has bounds; default-decimated: the same
             for decimated vertices.
         start: A model (name or file) whose weights the run begins with, in place of random ones: fine-tuning. Its
@@ -147,7 +149,9 @@ def train_command(
         training, held_out = chosen_files(pairs, validation)
         config = replace(PRESETS[preset], **{key: value for key, value in given.items() if value is not None})
         result = train_with_progress(training, held_out, out, config, start, resume)
-        return [f"best validation loss {result.best_loss:.6e} in epoch {result.best_epoch} of {result.epochs}, "
+        kind, bounded = ("training", "") if result.loss_in_use is None else (
+            "validation", f"(of the model with its bounds: {result.loss_in_use:.6e}) ")
+        return [f"best {kind} loss {result.best_loss:.6e} {bounded}in epoch {result.best_epoch} of {result.epochs}, "
                 f"{result.seconds:.0f} s: {out / 'model.safetensors'}"]
 
     return for_each((out,), work)

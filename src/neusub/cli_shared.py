@@ -18,6 +18,7 @@ if TYPE_CHECKING:
 __all__ = ["Output", "app", "check_free", "check_output", "for_each", "level_files", "loaded", "progress_bar",
            "say"]
 
+NO_MEMORY = "out of memory", "allocate memory", "not enough memory"  # as torch says it
 app = tyro.extras.SubcommandApp()
 Output = Annotated[Path, arg(aliases=["-o"])]
 
@@ -106,7 +107,7 @@ def for_each(paths: tuple[Path, ...], work: Callable[[Path], list[str]]) -> int:
             failed += 1
             say(f"neusub: {path}: {type(error).__name__}: {error}", error=True)
         except (MemoryError, RuntimeError) as error:
-            if not isinstance(error, MemoryError) and "memory" not in str(error):  # as torch says it
+            if not isinstance(error, MemoryError) and not any(words in str(error) for words in NO_MEMORY):
                 raise
             failed += 1
             say(f"neusub: {path}: not enough memory for this. Take fewer levels, or smaller meshes.", error=True)

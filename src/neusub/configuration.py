@@ -108,6 +108,9 @@ class TrainingConfig:
             raise ValueError(f"shallow = {self.shallow}: take a share, 0 to 1.")
         if not self.learning_rate > 0:
             raise ValueError(f"learning_rate = {self.learning_rate}: take a positive number.")
+        if self.cycles > 1 and self.schedule == "constant":
+            raise ValueError(f"cycles = {self.cycles}: a constant schedule has none. Take schedule = 'cosine'.")
+        self.for_use(self.levels)  # raises for what is out of range
 
     @property
     def is_single(self) -> bool:

@@ -19,6 +19,7 @@ __all__ = [
     "ParameterizationError",
     "RepeatedVertexError",
     "ShapeError",
+    "TooLargeError",
     "TrainingError",
     "UnreferencedVertexError",
 ]

@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import NamedTuple, get_args
-from zipfile import BadZipFile
 
 import numpy as np
 import torch
@@ -36,7 +35,7 @@ from neusub.files import replacing
 from neusub.flaps import LevelFlaps, level_flaps
 from neusub.topology import Topology, topology_levels
 
-__all__ = ["Batch", "Pair", "batch_pairs", "import_pairs", "load_pairs", "pair_files", "read_header", "save_pairs"]
+__all__ = ["Batch", "Pair", "batch_pairs", "load_pairs", "pair_files", "read_header", "save_pairs"]
 
 FORMAT = "neusub-pairs-1"
 SMOOTH = 1e-5  # distances well below this count squared in the loss "distance"; the unit box's side is 1
@@ -181,77 +180,6 @@ def file_hash(path: str | Path) -> str:
     return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16]
 
 
-# --- the authors' layouts ----------------------------------------------------------------------------------------
-
-
-def import_pairs(source: str | Path, folder: str | Path, *, licence: str = "not stated") -> list[Path]:
-    """Read the authors' pairs into pair files: `train.safetensors`, and `validation.safetensors` where there are any.
-
-    source: an npz with {train,valid}_V2, _nV, _F0, _nF0; or a folder with subd0/, subd1/, ... of OBJ files of equal
-    names (or with train/ and valid/ folders of that kind).  Returns the paths written.  Raises PairFileError.
-    """
-    source, folder = Path(source), Path(folder)
-    if source.is_file() and source.suffix == ".npz":
-        try:
-            splits = _read_npz(source)
-        except KeyError as error:
-            raise PairFileError(f"{source}: {error.args[0]}. An npz of pairs has {{train,valid}}_V2, _nV, _F0, _nF0.") \
-                from None
-        except (OSError, EOFError, ValueError, BadZipFile) as error:
-            raise PairFileError(f"{source}: not a readable npz of pairs ({error}). Get it again.") from None
-        origin = {"source": source.name, "source_hash": file_hash(source), "licence": licence}
-    elif source.is_dir():
-        roots = {"train": source} if (source / "subd0").is_dir() else {"train": source / "train",
-                                                                      "validation": source / "valid"}
-        splits = {split: _read_obj_levels(root) for split, root in roots.items() if (root / "subd0").is_dir()}
-        origin = {"source": source.name, "licence": licence}
-    else:
-        splits, origin = {}, {}
-    if not splits:
-        raise PairFileError(f"{source}: neither an npz with train_V2 nor a folder with subd0, subd1, ...")
-    if (folder / "manifest.json").exists():
-        raise PairFileError(f"{folder} holds pairs of other meshes already (manifest.json). Choose another folder.")
-    folder.mkdir(parents=True, exist_ok=True)
-    paths = []
-    for split, pairs in splits.items():
-        for pair in pairs:
-            check_pair(pair)
-        paths.append(folder / f"{split}.safetensors")
-        save_pairs(pairs, paths[-1], {"split": split, **origin})
-    return paths
-
-
-def _read_npz(source: Path) -> dict[str, list[Pair]]:
-    splits = {}
-    with np.load(source, allow_pickle=False) as data:
-        for key, split in (("train", "train"), ("valid", "validation")):
-            if f"{key}_V2" not in data:
-                continue
-            sizes, faces = data[f"{key}_nV"], data[f"{key}_F0"].astype(np.int64)
-            targets = np.split(data[f"{key}_V2"], np.cumsum(sizes[:, -1])[:-1])
-            faces = np.split(faces, np.cumsum(data[f"{key}_nF0"])[:-1])
-            splits[split] = [Pair(f, t, tuple(int(n) for n in s), name=f"{split}[{k}]")
-                             for k, (f, t, s) in enumerate(zip(faces, targets, sizes))]
-    return splits
-
-
-def _read_obj_levels(root: Path) -> list[Pair]:
-    from neusub.io import read
-
-    folders = sorted((path for path in root.glob("subd*") if path.name[4:].isdigit()),
-                     key=lambda path: int(path.name[4:]))
-    pairs = []
-    for coarse in sorted((root / "subd0").glob("*.obj")):
-        meshes = [read(folder / coarse.name) for folder in folders]
-        sizes = tuple(len(mesh.vertices) for mesh in meshes)
-        for mesh, size in zip(meshes, sizes):
-            if not np.allclose(meshes[-1].vertices[:size], mesh.vertices, atol=1e-4 * np.ptp(mesh.vertices)):
-                raise PairFileError(f"{coarse.name}: level 0's vertices are not the first ones of the last level's.")
-        pair = Pair(meshes[0].faces, meshes[-1].vertices.astype(np.float32), sizes, name=coarse.stem)
-        pairs.append(pair)
-    return pairs
-
-
 # --- batches -----------------------------------------------------------------------------------------------------
 
 
@@ -263,8 +191,8 @@ class FaceTargets(NamedTuple):
     weights: Float[torch.Tensor, " nF"]  # by the target's area: a third in all for each mesh
 
     def error(self, positions: Float[torch.Tensor, "nV 3"]) -> torch.Tensor:
-        """Sum over the meshes of the mean distance, in radians where it is small, between the unit normals of the faces
-        and of their targets; smooth near zero."""
+        """Sum over the meshes of a third of the mean distance, in radians where it is small, between the unit normals
+        of the faces and of their targets; smooth near zero."""
         normals = bounds.area_normals(self.faces, positions)
         unit = normals * (normals.square().sum(0) + TINY).rsqrt()
         distance = ((unit - self.normals).square().sum(0) + SMOOTH_ANGLE**2).sqrt() - SMOOTH_ANGLE
@@ -312,8 +240,12 @@ def batch_pairs(pairs: list[Pair], input: str = "on_surface", device: torch.devi
 
     The union is refined as one mesh, so its vertices are renumbered at every level; within a mesh their order stays,
     so the targets find their places by a stable sort of the mesh that each vertex belongs to.
+    Raises PairFileError for no pairs, and for pairs of several depths.
     """
-    depth = pairs[0].levels
+    depths = {pair.levels for pair in pairs}
+    if len(depths) != 1:
+        raise PairFileError(f"a batch of pairs of {sorted(depths) or 'no'} levels. Give pairs of one depth.")
+    depth = depths.pop()
     starts = np.cumsum([0] + [pair.level_sizes[0] for pair in pairs])
     if len(pairs) == 1:
         topologies = pairs[0].topologies

@@ -59,7 +59,9 @@ class Subdivider:
     @classmethod
     def load(cls, name_or_path: str | Path = DEFAULT_MODEL, *, device: str = "auto",
              dtype: torch.dtype = torch.float32) -> Subdivider:
-        """Load a model by its name (see `model_names`) or its file.  Raises ModelError."""
+        """Load a model by its name (see `model_names`) or its file; dtype: float32 or float64.  Raises ModelError."""
+        if dtype not in (torch.float32, torch.float64):
+            raise ModelError(f"dtype {dtype}: take torch.float32 or torch.float64.")
         path = Path(name_or_path)
         if str(name_or_path) in model_names():
             path = Path(str(resources.files("neusub.weights") / f"{name_or_path}.safetensors"))

@@ -10,8 +10,6 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from functools import partial
 from hashlib import sha256
@@ -30,22 +28,27 @@ from neusub.logs import TrainingLog
 from neusub.network import NeuralSubdivision
 from neusub.recording import Recorder, has_room
 from neusub.subdivider import Subdivider, resolve_device
+from neusub.threads import Map, in_threads, some_threads, workers_of
 
 __all__ = ["PRESETS", "TrainingConfig", "TrainingResult", "epoch_order", "make_recordable", "mean_coarse_edge",
            "set_rate", "train"]
 
 EDGE = 0.1  # mean coarse edge that pairs are brought to for a network that knows no scale: about the paper's
-Map = Callable[..., Iterable]  # as `map`
 KEPT_PAIRS = 2000  # prepared pairs that are kept in memory, some 3 MB each of two levels, four times that of three on
 # a GPU; above, they are prepared when needed
 
 
 @dataclass(frozen=True)
 class TrainingResult:
-    """The best weights of a run and how it went."""
+    """The best weights of a run and how it went.
+
+    best_loss is of the network that was trained; loss_in_use of the model, which has what `TrainingConfig` adds for use
+    (bounds), on the same held-out pairs: None without them.
+    """
 
     model: Subdivider
     best_loss: float
+    loss_in_use: float | None
     best_epoch: int
     epochs: int
     seconds: float
@@ -86,7 +89,11 @@ class Run:
         if deepest < config.levels:
             warnings.warn(f"no pair has more than {deepest} levels: {deepest} are trained, not {config.levels}. Make "
                           "deeper pairs for more.", stacklevel=4)
-        fabric = Fabric(accelerator=resolve_device(config.device), devices=1, precision=config.precision)  # type: ignore[arg-type]
+        for pair in pairs:
+            pair.positions(config.input)  # raises where there are none
+        device = torch.device(resolve_device(config.device))
+        fabric = Fabric(accelerator=device.type, devices=1 if device.index is None or device.type == "cpu"
+                        else [device.index], precision=config.precision)  # type: ignore[arg-type]
         torch.manual_seed(config.seed)
         network = NeuralSubdivision(config.network)
         if start:
@@ -98,10 +105,10 @@ class Run:
                    origin_of(start) if start else None)
 
     def epoch(self, batches: _Batches, validation: list[Batch], each: Map) -> tuple[float, float]:
-        """One epoch; its training and its validation loss, which is the training loss where nothing is held out.
+        """One epoch; its training and its validation loss, NaN where nothing is held out.
 
-        The weights of the epoch with the least are kept; of the last one, where nothing is held out and some steps are
-        shallow, for then an epoch's loss says mostly how many were.
+        The weights of the epoch with the least are kept; where nothing is held out, with the least training loss, or of
+        the last one, if some steps are shallow, for then an epoch's loss says mostly how many were.
         """
         began = time.perf_counter()
         set_rate(self.optimizer, self.config, self.state.epoch)
@@ -118,10 +125,11 @@ class Run:
         if loss < self.state.best_loss or (self.config.shallow and not validation):
             self.state.best_loss, self.state.best_epoch = loss, self.state.epoch
             self.best = copied(self.model.state_dict())
-        return training_loss, loss
+        return training_loss, loss if validation else float("nan")
 
     def best_model(self) -> Subdivider:
         """The best weights with their card."""
+        is_validated = any(entry["held_out"] for entry in self.data)
         plan = self.config.for_use(max(pair.levels for pair in self.pairs))
         network = NeuralSubdivision(plan)
         network.load_state_dict({key: value.cpu() for key, value in self.best.items()})
@@ -129,7 +137,8 @@ class Run:
         card = {
             "architecture": {"kind": "half-flap", **asdict(plan)},
             "input": self.config.input,
-            "scale": {"box": 1.0, "edge": mean_coarse_edge(self.pairs)},
+            "scale": {"box": mean_coarse_box(self.pairs, self.config.input),
+                      "edge": mean_coarse_edge(self.pairs, self.config.input)},
             "training": {
                 "config": asdict(self.config),
                 "data": [{key: entry[key] for key in keys if key in entry} for entry in self.data],
@@ -138,7 +147,8 @@ class Run:
                 **({"start": self.start} if self.start else {}),
             },
             "licence": licences([*self.data, *([self.start] if self.start else [])]),
-            "scores": {"validation_loss": self.state.best_loss, "validation_epoch": self.state.best_epoch},
+            "scores": {f"{kind}_{key}": value for kind in ("validation" if is_validated else "training",)
+                       for key, value in (("loss", self.state.best_loss), ("epoch", self.state.best_epoch))},
         }
         return Subdivider(network, card)
 
@@ -168,8 +178,15 @@ def train(
     checkpoint = out / "checkpoint.safetensors"
     if checkpoint.exists() and not resume:
         raise TrainingError(f"{out} holds a run already. Pass resume (--resume) to go on with it, or another folder.")
-    if config.threads:
-        torch.set_num_threads(config.threads)
+    with some_threads(config.threads):
+        return trained(train_files, validation_files, out, config, start, on_epoch)
+
+
+def trained(train_files: Sequence[str | Path], validation_files: Sequence[str | Path], out: Path,
+            config: TrainingConfig, start: Subdivider | None, on_epoch: Callable[[dict], None] | None,
+            ) -> TrainingResult:
+    """`train` in a folder without a run, or with one to resume."""
+    checkpoint = out / "checkpoint.safetensors"
     run = Run.begin(train_files, validation_files, config, start)
     if checkpoint.exists():
         load_checkpoint(checkpoint, run)
@@ -186,12 +203,17 @@ def train(
         while run.state.epoch < config.epochs:
             row = log.write(run.state, *run.epoch(batches, validation, each), config.epochs)
             if run.state.epoch % config.checkpoint_every == 0 or run.state.epoch == config.epochs:
-                save_checkpoint(checkpoint, run)
                 run.best_model().save(out / "model.safetensors")
+                save_checkpoint(checkpoint, run)
             if on_epoch:
                 on_epoch(row)
-    state = run.state
-    return TrainingResult(run.best_model(), state.best_loss, state.best_epoch, state.epoch, state.seconds, out)
+    model, in_use, state = run.best_model(), None, run.state
+    if validation:
+        network = model.network.to(run.fabric.device)
+        in_use = model.card["scores"]["validation_loss_in_use"] = validate(network, validation, config)
+        network.cpu()
+    model.save(out / "model.safetensors")
+    return TrainingResult(model, state.best_loss, in_use, state.best_epoch, state.epoch, state.seconds, out)
 
 
 def read_pairs(files: Sequence[str | Path], config: TrainingConfig) -> list[Pair]:
@@ -246,34 +268,15 @@ def epoch_order(count: int, seed: int, epoch: int) -> np.ndarray:
     return np.random.default_rng([seed, epoch]).permutation(count)
 
 
-def mean_coarse_edge(pairs: list[Pair]) -> float:
-    """Mean edge length of the coarse meshes, in the unit of the targets: the longest side of a source's box."""
-    edges = [np.diff(pair.targets[pair.topologies[0].edges], axis=1) for pair in pairs]
+def mean_coarse_edge(pairs: list[Pair], input: str = "on_surface") -> float:
+    """Mean edge length of the coarse meshes of one kind of input, in the unit of the targets."""
+    edges = [np.diff(pair.positions(input)[pair.topologies[0].edges], axis=1) for pair in pairs]
     return float(np.mean([np.linalg.norm(vectors, axis=-1).mean() for vectors in edges]))
 
 
-def workers_of(config: TrainingConfig, device: torch.device) -> int:
-    """Threads that share the meshes of a batch.  Most operations on a mesh of some hundred faces are too short to be
-    shared themselves."""
-    alone = device.type != "cpu" or not config.is_single
-    return 1 if alone else min(torch.get_num_threads(), config.batch)
-
-
-@contextmanager
-def in_threads(count: int) -> Iterator[Map]:
-    """A `map` that so many threads share.  Each has its part of torch's threads, and so has the caller meanwhile, whose
-    own would spin while they wait for more."""
-    if count == 1:
-        yield map
-        return
-    threads = torch.get_num_threads()
-    part = threads // count
-    torch.set_num_threads(part)
-    try:
-        with ThreadPoolExecutor(count, initializer=torch.set_num_threads, initargs=(part,)) as pool:
-            yield pool.map
-    finally:
-        torch.set_num_threads(threads)
+def mean_coarse_box(pairs: list[Pair], input: str) -> float:
+    """Mean of the longest sides of their boxes."""
+    return float(np.mean([np.ptp(pair.positions(input), axis=0).max() for pair in pairs]))
 
 
 def run_epoch(fabric, model, optimizer, batches: _Batches, epoch: int, each: Map, recorder: Recorder | None) -> float:
