@@ -157,14 +157,74 @@ def test_zero_area_faces_collapse_and_topology_stays(shape):
     assert before.zero_area_faces > 0
     assert after.zero_area_faces == 0
     assert (after.genus, after.boundary_loops) == (before.genus, before.boundary_loops)
-    assert any("collapsed" in line for line in changes)
+    assert any("zero-area" in line for line in changes)
+    assert not any("kept" in line for line in changes)
+
+
+def with_caps(vertices, faces, count, rng):
+    """A vertex in the middle of some edges of a closed mesh, but on one side only: a flat face lies along the edge."""
+    topology = Mesh(vertices, faces).topology
+    faces, vertices, used = faces.copy(), list(vertices), set()
+    for e in rng.permutation(len(topology.edges)):
+        h = topology.edge_halfedges[e, 0]
+        f, side = divmod(int(h), 3)
+        if f in used or len(used) == count:
+            continue
+        used.add(f)
+        p, q, far = np.roll(faces[f], -side)
+        vertices.append(0.75 * vertices[p] + 0.25 * vertices[q])
+        middle = len(vertices) - 1
+        faces[f] = (p, middle, far)
+        faces = np.concatenate([faces, [(middle, q, far), (p, q, middle)]])
+    return np.array(vertices), faces
+
+
+def enclosed(vertices, faces):
+    a, b, c = vertices[faces].transpose(1, 0, 2)
+    return (a * np.cross(b, c)).sum() / 6
+
+
+def test_corners_in_a_line_stay_where_they_are():
+    vertices, faces = with_caps(*shapes.bumpy(shapes.icosphere(2), 0.3), 60, np.random.default_rng(0))
+    mesh, changes = repair(RawMesh(vertices.copy(), faces.copy()))
+    assert changes == ["flipped 60 edges of zero-area faces"]
+    np.testing.assert_array_equal(mesh.vertices, vertices)
+    assert len(mesh.faces) == len(faces)
+    assert info(mesh).zero_area_faces == 0
+    assert enclosed(mesh.vertices, mesh.faces) == pytest.approx(enclosed(vertices, faces))
+
+
+def test_a_flat_face_takes_over_uvs_and_data_of_the_face_that_it_shares():
+    """Without a seam its own UV of the middle is taken, across one the place between the neighbour's."""
+    vertices = np.array([[0.0, 0, 0], [4, 0, 0], [1, 0, 0], [2, -3, 0], [2, 3, 0]])
+    faces = np.array([[0, 1, 2], [1, 0, 3], [0, 2, 4], [2, 1, 4]])
+    data = {"label": np.array([7, 8, 9, 9])}
+    uv = np.concatenate([vertices[:, :2], vertices[:, :2] + 10])
+    seamless = RawMesh(vertices, faces, uv.copy(), faces.copy(), face_data=dict(data))
+    mesh, changes = repair(seamless)
+    assert changes == ["flipped 1 edges of zero-area faces"]
+    assert mesh.face_data["label"].tolist() == [8, 8, 9, 9]
+    np.testing.assert_array_equal(mesh.uv_faces, mesh.faces)
+    apart = faces.copy()
+    apart[1] += 5  # the face below has a chart of its own
+    mesh, _ = repair(RawMesh(vertices, faces, uv.copy(), apart, face_data=dict(data)))
+    moved = np.array([10, 10, 0, 0])[:, None, None]
+    np.testing.assert_allclose(mesh.uv[mesh.uv_faces], mesh.vertices[mesh.faces][..., :2] + moved)
+    assert data["label"].tolist() == [7, 8, 9, 9]
+
+
+def test_a_flat_face_at_the_border_is_removed():
+    vertices = np.array([[0.0, 0, 0], [4, 0, 0], [1, 0, 0], [2, 3, 0]])
+    mesh, changes = repair(RawMesh(vertices, np.array([[0, 1, 2], [0, 2, 3], [2, 1, 3]])))
+    assert changes == ["removed 1 zero-area faces at the border"]
+    assert mesh.faces.tolist() == [[0, 2, 3], [2, 1, 3]]
 
 
 def test_a_flat_tetrahedron_is_kept_and_reported():
     vertices, faces = shapes.tetrahedron()
     mesh, changes = repair(RawMesh(vertices * [1, 0, 0], faces))
     assert len(mesh.faces) == 4
-    assert changes == ["kept 4 zero-area faces, whose collapse would make the mesh non-manifold"]
+    assert changes == ["kept 4 zero-area faces, whose collapse or flip would make the mesh non-manifold"]
 
 
 def test_repair_leaves_its_input_as_it_was():

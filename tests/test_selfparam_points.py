@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from safetensors import safe_open
 from safetensors.numpy import save_file
 
 import shapes
@@ -383,3 +384,46 @@ def test_levels_that_cannot_fit_into_memory_are_refused():
 def test_a_signal_of_another_mesh_is_refused():
     with pytest.raises(ParameterizationError, match="values has 80 rows for 384 fine vertices: give one for each"):
         decimated("torus").transfer(np.zeros(80))
+
+
+@EACH_STRATEGY
+@pytest.mark.parametrize("name", SHAPES)
+def test_what_was_saved_passes_its_checks(name, strategy, tmp_path):
+    result = decimated(name, strategy)
+    result.save(tmp_path / "map.safetensors")
+    SelfParameterization.load(tmp_path / "map.safetensors")
+
+
+def _first(row, value):
+    def change(array):
+        array.reshape(-1)[row] = value
+        return array
+
+    return change
+
+
+@pytest.mark.parametrize(("name", "change", "message"), [
+    ("charts.old", lambda array: array[:5], "charts.old has 5 rows, not"),
+    ("charts.old", _first(0, 2**30), "charts.old names versions that are not there yet, or one twice"),
+    ("charts.old", _first(1, -1), "charts.old names versions"),
+    ("charts.made_by", lambda array: array[:400], "charts.made_by has 400 rows, not"),
+    ("charts.made_by", _first(0, 0), "charts.made_by does not follow"),
+    ("charts.consumed_at", _first(0, 2**30), "charts.consumed_at does not follow"),
+    ("charts.starts", _first(0, 1), r"charts.starts does not begin at \(0, 0, 320\) and grow"),
+    ("charts.before", _first(0, 60_000), "charts.before names local vertices or faces"),
+    ("charts.after", _first(3, 60_000), "charts.after names local vertices or faces"),
+    ("charts.uv", lambda array: array.astype(np.float32), "charts.uv is float32"),
+    ("versions", _first(0, 0), "versions are not those that no chart consumed"),
+    ("faces", _first(0, 10**6), "are not those of one mesh"),
+    ("decimated", lambda array: array[:3], "are not those of one mesh"),
+])
+def test_a_map_whose_arrays_do_not_fit_together_is_a_named_error(name, change, message, tmp_path):
+    """The compiled walks would read what is not theirs."""
+    path = tmp_path / "map.safetensors"
+    decimate(Mesh(*shapes.icosphere(2)), n_vertices=60).save(path)
+    with safe_open(path, framework="numpy") as file:
+        metadata, arrays = file.metadata(), {key: file.get_tensor(key).copy() for key in file.keys()}  # noqa: SIM118
+    arrays[name] = np.ascontiguousarray(change(arrays[name]))
+    save_file(arrays, path, metadata=metadata)
+    with pytest.raises(ParameterizationError, match=message):
+        SelfParameterization.load(path)

@@ -5,20 +5,18 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from jaxtyping import Float64, Int64
+from jaxtyping import Float64
 from numpy import ndarray
 
 from neusub.errors import MeshError, NonFiniteError
+from neusub.flat_faces import double_areas, edge_lengths, is_flat, mend_flat_faces
 from neusub.mesh import Mesh
 from neusub.problems import duplicate_faces, face_edge_groups, find_problems, non_finite_problems, vertex_fans
 from neusub.raw import RawMesh, count_coincident
 from neusub.raw import weld as weld_borders
-from neusub.topology import Topology, build_topology, connected_components
+from neusub.topology import build_topology, connected_components
 
 __all__ = ["MeshInfo", "info", "repair"]
-
-FLAT = 1e-12  # twice a triangle's area over its longest edge squared, at or below which the area counts as zero
-
 
 @dataclass(frozen=True)
 class MeshInfo:
@@ -71,7 +69,7 @@ def info(raw: RawMesh | Mesh) -> MeshInfo:
     faces = raw.faces[inside.all(axis=1)]
     corners = raw.vertices[faces]
     with np.errstate(all="ignore"):
-        lengths, quality = _edge_lengths(corners), _qualities(corners)
+        lengths, quality = edge_lengths(corners), _qualities(corners)
         extent = raw.vertices.max(axis=0) - raw.vertices.min(axis=0) if len(raw.vertices) else np.zeros(3)
     groups = face_edge_groups(faces, len(raw.vertices)) if len(faces) else None
     components = connected_components(faces, len(raw.vertices))[1] if len(faces) else np.zeros(0, dtype=np.int64)
@@ -90,7 +88,7 @@ def info(raw: RawMesh | Mesh) -> MeshInfo:
         box=(float(extent[0]), float(extent[1]), float(extent[2])),
         edge_length=length,
         quality=(float(quality.min()), float(quality.mean())) if len(faces) else (0.0, 0.0),
-        zero_area_faces=int(_is_flat(corners).sum()),
+        zero_area_faces=int(is_flat(corners).sum()),
         contents=_contents(raw),
         report=report,
         problems=problems,
@@ -132,25 +130,10 @@ def _or_undefined(value: int | None) -> str:
     return "undefined" if value is None else str(value)
 
 
-def _edge_lengths(corners: Float64[ndarray, "nF 3 3"]) -> Float64[ndarray, "nF 3"]:
-    return np.linalg.norm(corners - np.roll(corners, -1, axis=1), axis=2)
-
-
-def _double_areas(corners: Float64[ndarray, "nF 3 3"]) -> Float64[ndarray, " nF"]:
-    return np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
-
-
 def _qualities(corners: Float64[ndarray, "nF 3 3"]) -> Float64[ndarray, " nF"]:
-    squares = (_edge_lengths(corners) ** 2).sum(axis=1)
-    areas = _double_areas(corners)
+    squares = (edge_lengths(corners) ** 2).sum(axis=1)
+    areas = double_areas(corners)
     return np.divide(2 * np.sqrt(3) * areas, squares, out=np.zeros_like(areas), where=squares > 0)
-
-
-def _is_flat(corners: Float64[ndarray, "nF 3 3"]) -> ndarray:
-    if len(corners) == 0:
-        return np.zeros(0, dtype=bool)
-    with np.errstate(all="ignore"):
-        return _double_areas(corners) <= FLAT * (_edge_lengths(corners) ** 2).max(axis=1)
 
 
 def repair(
@@ -159,10 +142,10 @@ def repair(
     """A valid mesh, and a line for each kind of change.  `raw` itself stays as it is.
 
     Without being asked it removes faces with a repeated vertex and copies of faces, turns faces to agree with the
-    majority of their component, collapses zero-area faces where the surface stays a manifold, and drops unreferenced
-    vertices.  split_edges: gives the sheets that meet at an edge of three or more faces their own vertices.
-    split_vertices: the same for the fans that meet at a vertex.  weld: first joins boundary edges whose ends have
-    bit-equal positions, where the surface stays a manifold.
+    majority of their component, takes zero-area faces away where the surface stays a manifold (`flat_faces.py`; no
+    vertex moves), and drops unreferenced vertices.  split_edges: gives the sheets that meet at an edge of three or more
+    faces their own vertices.  split_vertices: the same for the fans that meet at a vertex.  weld: first joins boundary
+    edges whose ends have bit-equal positions, where the surface stays a manifold.
     Raises: the `MeshError` that is left, for what only a guess could repair.
     """
     work = replace(raw, face_data=dict(raw.face_data), report=list(raw.report))
@@ -181,7 +164,8 @@ def repair(
         if split_vertices:
             _split(work, changes, only_crowded_edges=False)
         _orient(work, changes)
-        _collapse_flat_faces(work, changes)
+        if _is_manifold(work):  # what is not yet would only get worse; `Mesh` names the problem
+            mend_flat_faces(work, changes)
         dropped = work.drop_unreferenced()
         if len(dropped):
             changes.append(f"dropped {len(dropped)} unreferenced vertices, the first being vertex {dropped[0]}")
@@ -263,76 +247,8 @@ def _orient(work: RawMesh, changes: list[str]) -> None:
         changes.append(f"turned {turn.sum()} faces, the first being face {int(np.argmax(turn))}")
 
 
-def _collapse_flat_faces(work: RawMesh, changes: list[str]) -> None:
-    """Collapse the shortest edge of each zero-area face, in rounds of edges that do not touch each other."""
-    if (
-        any(not isinstance(p, NonFiniteError) for p in find_problems(*_compact(work)))
-        or any(non_finite_problems(work.vertices))
-    ):
-        return  # what is not manifold yet would only get worse; `Mesh` names the problem
-    collapsed, left = 0, 0
-    for _ in range(100):
-        flat = np.flatnonzero(_is_flat(work.vertices[work.faces]))
-        left = len(flat)
-        done = _collapse_round(work, flat) if left else 0
-        collapsed += done
-        if not done:
-            break
-    if collapsed:
-        changes.append(f"collapsed {collapsed} edges of zero-area faces")
-    if left:
-        changes.append(f"kept {left} zero-area faces, whose collapse would make the mesh non-manifold")
-
-
-def _compact(work: RawMesh) -> tuple[ndarray, ndarray]:
+def _is_manifold(work: RawMesh) -> bool:
+    """Whether the mesh has no problem but vertices without faces."""
     used, faces = np.unique(work.faces, return_inverse=True)
-    return work.vertices[used], faces.reshape(-1, 3)
-
-
-def _collapse_round(work: RawMesh, flat: Int64[ndarray, " n"]) -> int:
-    topology = build_topology(work.faces, len(work.vertices))
-    order = np.argsort(work.faces.reshape(-1), kind="stable")
-    start = np.searchsorted(work.faces.reshape(-1)[order], np.arange(topology.n_vertices + 1))
-
-    def ring(v: int) -> ndarray:
-        return topology.faces[order[start[v] : start[v + 1]] // 3]
-
-    touched: set[int] = set()
-    target = np.arange(topology.n_vertices)
-    lengths = _edge_lengths(work.vertices[work.faces[flat]])
-    done = 0
-    for f, edge_lengths in zip(flat, lengths):
-        side = int(np.argmin(edge_lengths))
-        e = int(topology.face_edges[f, side])
-        # of a collinear face the middle vertex goes: it lies opposite to the longest edge
-        middle = int(topology.faces[f, (int(np.argmax(edge_lengths)) + 2) % 3])
-        j, k = (int(v) for v in topology.edges[e])
-        gone, kept = (j, k) if j == middle else (k, j)
-        if topology.is_boundary_vertex[gone] and not topology.is_boundary_vertex[kept]:
-            gone, kept = kept, gone
-        around = {int(v) for v in ring(j).reshape(-1)} | {int(v) for v in ring(k).reshape(-1)}
-        if touched & around or not _may_collapse(topology, e, ring(j), ring(k)):
-            continue
-        touched |= around
-        target[gone] = kept
-        done += 1
-    work.faces = target[work.faces]
-    work.take_faces(~(work.faces == work.faces[:, [1, 2, 0]]).any(axis=1))
-    return done
-
-
-def _may_collapse(topology: Topology, edge: int, ring_j: ndarray, ring_k: ndarray) -> bool:
-    """The link condition: the links of the ends meet in the link of the edge, and a face is left on each side."""
-    j, k = topology.edges[edge]
-    on_border = topology.is_boundary_vertex[[j, k]].all()
-    if on_border and not topology.is_boundary_edge[edge]:
-        return False
-    opposite = {int(v) for v in topology.edge_opposite[edge] if v >= 0}
-    common = ({int(v) for v in ring_j.reshape(-1)} & {int(v) for v in ring_k.reshape(-1)}) - {int(j), int(k)}
-    if common != opposite:
-        return False
-    links = [{frozenset(int(v) for v in face if v != end) for face in ring} for end, ring in ((j, ring_j), (k, ring_k))]
-    if links[0] & links[1]:  # the two faces over one edge would fall together
-        return False
-    n_faces = len(ring_j) + len(ring_k) - 2 * len(opposite)
-    return n_faces >= 1
+    problems = find_problems(work.vertices[used], faces.reshape(-1, 3))
+    return not any(not isinstance(p, NonFiniteError) for p in problems) and not any(non_finite_problems(work.vertices))

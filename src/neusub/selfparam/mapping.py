@@ -26,8 +26,8 @@ from neusub.compilation import COMPILED, INNER
 from neusub.selfparam.surface import VERSION, ZERO, copy_row, twin_of
 
 __all__ = [
-    "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "finished", "go_down", "go_up", "grown",
-    "make_charts", "record",
+    "BEFORE", "CAPACITY", "MADE", "UV", "Charts", "Step", "charts_of", "fault_of", "finished", "go_down", "go_up",
+    "grown", "make_charts", "record",
 ]  # fmt: skip
 
 CAPACITY = 2**16 - 3  # of a ring: local vertices are uint16, and there are three more than ring vertices
@@ -89,6 +89,42 @@ def note_consumers(charts):
         for row in range(charts.starts[chart, BEFORE], charts.starts[chart + 1, BEFORE]):
             version = charts.old[row]
             charts.consumed_by[version], charts.consumed_at[version] = chart, row
+
+
+def fault_of(charts: Charts, n_faces: int, versions: ndarray) -> str:
+    """What is wrong with charts from a file, for a fine mesh of n_faces and coarse faces of these versions; "" if
+    nothing: the compiled walks trust them."""
+    model = make_charts(1, 1, 1)
+    for name, array, like in zip(charts._fields, charts, model):
+        if array.dtype != like.dtype or array.shape[1:] != like.shape[1:]:
+            return f"charts.{name} is {array.dtype} {array.shape}, not {like.dtype} (n, {like.shape[1:]})"
+    starts = charts.starts
+    if len(starts) == 0 or starts[0].tolist() != [0, 0, n_faces] or (np.diff(starts, axis=0) < 0).any():
+        return f"charts.starts does not begin at (0, 0, {n_faces}) and grow"
+    n_charts, (n_uv, n_before, n_versions) = len(starts) - 1, starts[-1].tolist()
+    lengths = (n_charts + 1, n_uv, n_before, n_before, n_versions - n_faces, n_versions, n_versions, n_versions, 2)
+    for name, array, length in zip(charts._fields, charts, lengths):
+        if len(array) != length:
+            return f"charts.{name} has {len(array)} rows, not {length}"
+    uv, before, made = np.diff(starts, axis=0).T
+    consumer, maker = np.repeat(np.arange(n_charts), before), np.repeat(np.arange(n_charts), made)
+    old = charts.old
+    if (old < 0).any() or (old >= starts[consumer, MADE]).any() or len(np.unique(old)) < len(old):
+        return "charts.old names versions that are not there yet, or one twice"
+    consumed_by, consumed_at = np.full(n_versions, -1), np.zeros(n_versions, dtype=int)
+    consumed_by[old], consumed_at[old] = consumer, np.arange(n_before)
+    wanted = {"used": [n_charts, n_versions], "made_by": np.concatenate([np.full(n_faces, -1), maker]),
+              "consumed_by": consumed_by, "consumed_at": consumed_at}
+    for name, values in wanted.items():
+        if not np.array_equal(getattr(charts, name), values):
+            return f"charts.{name} does not follow from charts.starts and charts.old"
+    for name, rows, chart, others in (("before", charts.before, consumer, made),
+                                      ("after", charts.after, maker, before)):
+        if (rows[:, :3] >= uv[chart, None]).any() or (rows[:, 3] >= np.maximum(others[chart], 1)).any():
+            return f"charts.{name} names local vertices or faces that are not there"
+    if not np.array_equal(np.sort(versions), np.flatnonzero(consumed_by < 0)):
+        return "versions are not those that no chart consumed"
+    return ""
 
 
 class Step(NamedTuple):

@@ -19,7 +19,7 @@ from neusub.errors import ParameterizationError
 from neusub.files import replacing
 from neusub.memory import check_fits
 from neusub.mesh import Mesh
-from neusub.selfparam.mapping import Charts, go_down, go_up
+from neusub.selfparam.mapping import Charts, fault_of, go_down, go_up
 from neusub.topology import counting_order, topology_levels
 
 if TYPE_CHECKING:
@@ -175,8 +175,20 @@ class SelfParameterization:
         missing = [name for name in needed + [f"charts.{name}" for name in Charts._fields] if name not in arrays]
         if missing:
             raise ParameterizationError(f"{path}: it lacks {', '.join(missing)}. Save the map again.")
+        lacking = [name for name in ("reached", "counts", "strategy", "seed") if name not in header]
+        if lacking:
+            raise ParameterizationError(f"{path}: its header lacks {', '.join(lacking)}. Save the map again.")
         fine = Mesh(**{key[5:]: array for key, array in arrays.items() if key.startswith("fine.")})
         charts = Charts(*(arrays[f"charts.{name}"] for name in Charts._fields))
+        faces, decimated, versions = (arrays[name] for name in ("faces", "decimated", "versions"))
+        if not (faces.dtype.kind == versions.dtype.kind == "i" and decimated.dtype == np.float64
+                and faces.shape == (len(versions), 3) and decimated.shape[1:] == (3,) and versions.ndim == 1
+                and faces.min(initial=0) >= 0 and faces.max(initial=0) < len(decimated)):
+            raise ParameterizationError(f"{path}: faces {faces.shape}, decimated {decimated.shape} and versions "
+                                        f"{versions.shape} are not those of one mesh. Save the map again.")
+        fault = fault_of(charts, len(fine.faces), versions)
+        if fault:
+            raise ParameterizationError(f"{path}: {fault}. Save the map again.")
         return cls(fine, arrays["faces"], arrays["decimated"], arrays["versions"], charts, header["reached"],
                    header["counts"], header["strategy"], header["seed"])
 
