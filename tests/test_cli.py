@@ -193,7 +193,7 @@ def test_pairs_are_imported_and_trained_from(elephant, tmp_path, capsys):
     status, out, _ = neusub_command(capsys, "train", tmp_path / "pairs" / "validation.safetensors", "-o",
                                     tmp_path / "run", "--epochs", 1)
     assert status == 0
-    assert "best validation loss" in out
+    assert "best training loss" in out
     assert (tmp_path / "run" / "model.safetensors").exists()
     again = ("train", tmp_path / "pairs" / "validation.safetensors", "-o", tmp_path / "tuned", "--epochs", 1, "--start")
     assert neusub_command(capsys, *again, tmp_path / "run" / "model.safetensors")[0] == 0

@@ -8,6 +8,7 @@ import os
 from collections.abc import Iterator
 from types import SimpleNamespace
 
+import numba
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -49,6 +50,12 @@ def same(one: SelfParameterization, other: SelfParameterization) -> bool:
 def farthest(points: np.ndarray, others: np.ndarray) -> float:
     """Largest distance of a point to the closest one of the others, coordinate by coordinate."""
     return np.abs(points[:, None] - others[None]).max(axis=2).min(axis=1).max()
+
+
+@numba.cfunc(numba.float64(numba.float64))
+def one_number(x):
+    """No strategy."""
+    return x
 
 
 # --- what every collapse keeps -----------------------------------------------------------------------------------
@@ -137,6 +144,32 @@ def test_decimation_keeps_euler_number_components_and_boundary_loops(name, strat
 def test_the_outside_stays_outside(name):
     # A coarse mesh cuts corners, but encloses half of the volume or more.
     assert volume(decimated(name).coarse) > 0.5 * volume(mesh_of(name)) > 0
+
+
+def test_many_vertices_in_one_place_become_one():
+    """Of a cone's tip: some of its edges may collapse only after others have."""
+    n, rings = 20, 6
+    turn = 2 * np.pi * np.arange(n) / n
+    rows = [np.stack([s * np.cos(turn), s * np.sin(turn), 0 * turn + 1 - s], axis=1)
+            for s in np.linspace(1, 0.2, rings)]
+    vertices = np.concatenate([*rows, np.tile([0.0, 0, 1], (n + 1, 1))])
+    at, after = np.arange(n), (np.arange(n) + 1) % n
+    faces = np.concatenate([f for k in range(rings) for f in (
+        np.stack([k * n + at, k * n + after, (k + 1) * n + after], axis=1),
+        np.stack([k * n + at, (k + 1) * n + after, (k + 1) * n + at], axis=1))])
+    tip = np.stack([rings * n + at, rings * n + after, np.full(n, (rings + 1) * n)], axis=1)
+    result = decimate(Mesh(vertices, np.concatenate([faces, tip])), n_vertices=rings * n + 1)
+    assert result.reached
+    assert (np.abs(result.decimated - [0, 0, 1]).max(axis=1) < 1e-6).sum() == 1
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"seed": 1.5}, "seed = 1.5: take a whole number"), ({"seed": None}, "seed = None: take a whole number"),
+    ({"sharp_boundary_angle": float("nan")}, "sharp_boundary_angle = nan: take degrees"),
+    ({"strategy": one_number}, "strategy one_number is compiled for")])
+def test_options_of_another_kind_are_named(options, message):
+    with pytest.raises(DecimationError, match=message):
+        decimate(Mesh(*SHAPES["sphere"]), n_vertices=40, **options)
 
 
 @pytest.mark.parametrize("strategy", STRATEGIES)
@@ -289,7 +322,7 @@ def test_without_the_angle_a_corner_may_be_cut():
     ({"n_faces": 9, "strategy": "fast"}, r"strategy 'fast' is not one of quadric, random.*numba\.cfunc"),
     ({"n_faces": 9, "strategy": len}, r"strategy .*len.* is no compiled function\. Decorate it with @numba\.cfunc"),
     ({"n_faces": 9, "flattening": "tutte"}, r"flattening 'tutte' is not one of conformal, uniform"),
-    ({"n_faces": 9, "strategy": "random", "seed": -1}, r"seed = -1: take at least 0"),
+    ({"n_faces": 9, "strategy": "random", "seed": -1}, r"seed = -1: take a whole number, at least 0"),
 ])  # fmt: skip
 def test_what_cannot_be_asked_for_is_refused(options, message):
     with pytest.raises(DecimationError, match=message):

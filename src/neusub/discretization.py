@@ -4,7 +4,8 @@
     PairStream      pairs made on the fly beside a training
 
 The paper's protocol (appendix "Data Generation from Random Collapses"): unit box, semi-random collapses down to 150 to
-300 vertices, two levels.  A pair depends on the source's content, the seed and its number alone.
+300 vertices, two levels.  In files a pair depends on the source's content, the seed and its number alone; in a stream
+on the source's place in the list instead of its content.
 """
 
 from __future__ import annotations

@@ -13,9 +13,10 @@ import numpy as np
 
 from neusub.errors import DecimationError
 from neusub.memory import check_fits
-from neusub.mesh import Mesh
+from neusub.mesh import Mesh, check_is_mesh
 from neusub.selfparam import SelfParameterization, decimate
 from neusub.selfparam.criteria import refusals
+from neusub.selfparam.decimation import checked_targets
 from neusub.selfparam.parameterization import Refinement, refinement
 
 __all__ = ["remesh", "with_signals"]
@@ -45,7 +46,9 @@ def remesh(
     """
     if levels < 0:
         raise DecimationError(f"levels = {levels}: take 0 or more.")
-    check_fits(n_faces or 2 * (n_vertices or 0), levels)
+    check_is_mesh(mesh)
+    _, faces = checked_targets(mesh, n_vertices, n_faces)
+    check_fits(faces or 2 * (n_vertices or 0), levels)
     result = decimate(mesh, n_vertices=n_vertices, n_faces=n_faces, strategy=strategy, seed=seed)
     if not result.reached:
         asked = f"{n_vertices} vertices" if n_vertices else f"{n_faces} faces"

@@ -115,17 +115,22 @@ def first_null_edge(surface):
 
 @njit(**COMPILED)
 def collapse_null_edges(work, user, first, min_vertices, min_faces):
-    """Collapse the edges of length zero, from half-edge `first`; where it stopped for want of room, or the end."""
-    surface = work.surface
-    for h in range(first, 3 * len(surface.faces)):
-        if work.sizes[0] <= min_vertices or work.sizes[1] <= min_faces:
-            break
-        if surface.faces[h // 3, 0] < 0 or edge_of(surface, h) != h or not is_null(surface, h):
-            continue
-        reason = try_collapse(work, user, h)
-        if reason == NO_ROOM:
-            return h
-        work.counts[reason] += 1
+    """Collapse the edges of length zero, from half-edge `first`, as often as that makes others legal; where it stopped
+    for want of room, or the end."""
+    surface, went_on = work.surface, True
+    while went_on:
+        went_on = False
+        for h in range(first, 3 * len(surface.faces)):
+            if work.sizes[0] <= min_vertices or work.sizes[1] <= min_faces:
+                break
+            if surface.faces[h // 3, 0] < 0 or edge_of(surface, h) != h or not is_null(surface, h):
+                continue
+            reason = try_collapse(work, user, h)
+            if reason == NO_ROOM:
+                return h
+            work.counts[reason] += 1
+            went_on = went_on or reason == LEGAL
+        first = 0
     return 3 * len(surface.faces)
 
 

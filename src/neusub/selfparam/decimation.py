@@ -20,6 +20,7 @@ from neusub.selfparam.locality import LARGE, Order, file_order, local_order, reo
 from neusub.selfparam.mapping import finished, grown, make_charts
 from neusub.selfparam.parameterization import SelfParameterization
 from neusub.selfparam.placement import (
+    PLACE,
     STRATEGIES,
     TIES,
     USER,
@@ -53,7 +54,8 @@ def decimate(
 
     strategy: one of `STRATEGIES`, or a function compiled by `numba.cfunc(neusub.selfparam.PLACE)` (`placement.py`).
     seed: of the strategies that draw edges.  criteria: which collapses are legal; the paper's by default.
-    flattening: of each ring, conformal as the paper's; uniform (Tutte) for comparison.
+    flattening: of each ring, conformal as the paper's; uniform (Tutte) for comparison, but where one end of the edge is
+    on a boundary, which is conformal always.
     sharp_boundary_angle: degrees; boundary vertices that turn by more never move.
     on_progress: called now and then with the vertices (or faces) that are left, and the target.
     A target that cannot be reached gives a result with `reached=False` and the refused collapses counted by reason.
@@ -64,8 +66,10 @@ def decimate(
     check_is_mesh(mesh)
     targets = checked_targets(mesh, n_vertices, n_faces)
     plan, user = checked_strategy(strategy)
-    if seed < 0:
-        raise DecimationError(f"seed = {seed}: take at least 0.")
+    if not isinstance(seed, Integral) or seed < 0:
+        raise DecimationError(f"seed = {seed!r}: take a whole number, at least 0.")
+    if sharp_boundary_angle is not None and not sharp_boundary_angle >= 0:
+        raise DecimationError(f"sharp_boundary_angle = {sharp_boundary_angle}: take degrees, at least 0.")
     work, order, frame = prepare(mesh, plan, targets, seed, criteria or Criteria(), flattening, sharp_boundary_angle)
     announce(run, "the decimation kernels")
     work, status = collapse_all(work, user, targets, on_progress)
@@ -99,6 +103,9 @@ def checked_strategy(strategy: str | Any) -> tuple[Strategy, Any]:
     if not hasattr(strategy, "_wrapper_name"):  # what numba.cfunc makes
         raise DecimationError(f"strategy {strategy!r} is no compiled function. Decorate it with "
                               "@numba.cfunc(neusub.selfparam.PLACE).")
+    if strategy._sig != PLACE:
+        raise DecimationError(f"strategy {strategy.__name__} is compiled for {strategy._sig}, not for {PLACE}. "
+                              "Decorate it with @numba.cfunc(neusub.selfparam.PLACE).")
     return Strategy(USER), strategy
 
 

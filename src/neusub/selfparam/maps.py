@@ -21,7 +21,7 @@ from numpy import ndarray
 
 from neusub.compilation import COMPILED, INNER
 from neusub.errors import DecimationError
-from neusub.mesh import Mesh
+from neusub.mesh import Mesh, check_is_mesh
 from neusub.selfparam.criteria import (
     BOUNDARY,
     LEGAL,
@@ -68,6 +68,7 @@ def decimate_maps(
     Raises: DecimationError for a target or a weight out of range, and where shapely is absent.
     Source: Lee et al. 1998, section 2 (levels and priorities) and 3 (flattening, retriangulation).
     """
+    check_is_mesh(mesh)
     checked_targets(mesh, n_vertices, None)
     if not 0 <= weight <= 1:
         raise DecimationError(f"weight = {weight}: take a number from 0 to 1.")
