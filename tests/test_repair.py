@@ -213,6 +213,15 @@ def test_a_flat_face_takes_over_uvs_and_data_of_the_face_that_it_shares():
     assert data["label"].tolist() == [7, 8, 9, 9]
 
 
+def test_faces_are_named_by_their_numbers_in_the_file():
+    vertices, faces = shapes.icosahedron()
+    faces = np.concatenate([[[0, 0, 1]], faces, faces[:1]])
+    faces[10] = faces[10, ::-1]
+    _, changes = repair(RawMesh(vertices, faces))
+    assert changes == ["removed 1 faces with a repeated vertex, the first being face 0",
+                       "removed 1 copies of faces, the first being face 21", "turned 1 faces, the first being face 10"]
+
+
 def test_a_flat_face_at_the_border_is_removed():
     vertices = np.array([[0.0, 0, 0], [4, 0, 0], [1, 0, 0], [2, 3, 0]])
     mesh, changes = repair(RawMesh(vertices, np.array([[0, 1, 2], [0, 2, 3], [2, 1, 3]])))

@@ -31,6 +31,7 @@ class RawMesh:
     materials: tuple[Material, ...] = ()
     report: list[str] = field(default_factory=list)
     numbered: tuple[ndarray, ndarray] | None = None  # vertices and faces with the numbers that errors name
+    origin: ndarray | None = None  # of each face its number before others were taken away, where that is to be told
 
     def checked(self) -> Mesh:
         """The mesh, with the report as its load report.  Raises: the `MeshError`s of `Mesh`."""
@@ -67,6 +68,11 @@ class RawMesh:
         self.faces = self.faces[keep]
         self.uv_faces = None if self.uv_faces is None else self.uv_faces[keep]
         self.face_data = {name: values[keep] for name, values in self.face_data.items()}
+        self.origin = None if self.origin is None else self.origin[keep]
+
+    def number_of(self, face: int) -> int:
+        """The number of a face in the file."""
+        return int(face if self.origin is None else self.origin[face])
 
     def drop_unreferenced(self) -> Int64[ndarray, " nDropped"]:
         """Drop the vertices that no face uses, in place; returns their old indices.  Trusts the indices' range."""

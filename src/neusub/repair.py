@@ -148,7 +148,7 @@ def repair(
     edges whose ends have bit-equal positions, where the surface stays a manifold.
     Raises: the `MeshError` that is left, for what only a guess could repair.
     """
-    work = replace(raw, face_data=dict(raw.face_data), report=list(raw.report))
+    work = replace(raw, face_data=dict(raw.face_data), report=list(raw.report), origin=np.arange(len(raw.faces)))
     changes: list[str] = []
     inside = ((work.faces >= 0) & (work.faces < len(work.vertices))).all()
     if weld:
@@ -183,7 +183,7 @@ def _drop_bad_faces(work: RawMesh, changes: list[str]) -> None:
     order, is_copy = duplicate_faces(work.faces)
     if is_copy.any():  # the sort is stable: of equal faces the first comes first
         copies = np.sort(order[1:][is_copy])
-        changes.append(f"removed {len(copies)} copies of faces, the first being face {copies[0]}")
+        changes.append(f"removed {len(copies)} copies of faces, the first being face {work.number_of(copies[0])}")
         keep = np.ones(len(work.faces), dtype=bool)
         keep[copies] = False
         work.take_faces(keep)
@@ -244,7 +244,7 @@ def _orient(work: RawMesh, changes: list[str]) -> None:
         work.uv_faces = (
             None if work.uv_faces is None else np.where(turn[:, None], work.uv_faces[:, ::-1], work.uv_faces)
         )
-        changes.append(f"turned {turn.sum()} faces, the first being face {int(np.argmax(turn))}")
+        changes.append(f"turned {turn.sum()} faces, the first being face {work.number_of(int(np.argmax(turn)))}")
 
 
 def _is_manifold(work: RawMesh) -> bool:
