@@ -1,6 +1,7 @@
 """Truths of making training pairs: exact targets, the same bytes whatever the workers, whole files in the end."""
 
 import json
+import os
 from dataclasses import replace
 from itertools import islice
 from types import SimpleNamespace
@@ -89,7 +90,9 @@ def test_an_interrupted_call_goes_on_and_ends_with_the_same_files(sources, tmp_p
         make_pairs(sources, tmp_path / "halted", config, workers=1)
     parts = list((tmp_path / "halted" / ".parts").iterdir())
     assert len(parts) == 3 and not (tmp_path / "halted" / "manifest.json").exists()
-    (tmp_path / "halted" / ".ball.train.part99.safetensors").write_bytes(b"what a kill left half written")
+    killed = tmp_path / "halted" / ".ball.train.part99.safetensors"
+    killed.write_bytes(b"what a kill left half written")
+    os.utime(killed, (0, 0))
     monkeypatch.setattr(discretization, "run_task", real)
     done = []
     make_pairs(sources, tmp_path / "halted", config, workers=1, on_task=lambda done_, all_: done.append((done_, all_)))
@@ -97,17 +100,20 @@ def test_an_interrupted_call_goes_on_and_ends_with_the_same_files(sources, tmp_p
     assert done[-1] == (6, 6)
 
 
-def test_two_calls_on_a_finished_folder_may_end_at_the_same_time(sources, tmp_path, monkeypatch):
-    make_pairs(sources, tmp_path / "pairs", CONFIG)
-    before, real = contents(tmp_path / "pairs"), discretization.merge_all
+def test_two_calls_in_one_folder_do_not_disturb_each_other(sources, tmp_path):
+    """The second begins and ends while the first is at work."""
+    config = replace(CONFIG, per_mesh=25)
+    make_pairs(sources, tmp_path / "whole", config, workers=1)
 
-    def merge_while_another_call_ends(*arguments):
-        (tmp_path / "pairs" / ".parts").rmdir()
-        return real(*arguments)
+    def call_again(done, _):
+        if done == 2:
+            make_pairs(sources, tmp_path / "pairs", config, workers=1)
+            assert contents(tmp_path / "pairs") == contents(tmp_path / "whole")
 
-    monkeypatch.setattr(discretization, "merge_all", merge_while_another_call_ends)
-    make_pairs(sources, tmp_path / "pairs", CONFIG)
-    assert contents(tmp_path / "pairs") == before and not (tmp_path / "pairs" / ".parts").exists()
+    make_pairs(sources, tmp_path / "pairs", config, workers=1, on_task=call_again)
+    assert contents(tmp_path / "pairs") == contents(tmp_path / "whole")
+    assert not (tmp_path / "pairs" / ".parts").exists()
+    assert not list((tmp_path / "pairs").glob(".*"))
 
 
 def test_total_spreads_evenly_over_the_sources():

@@ -12,13 +12,14 @@ from __future__ import annotations
 
 import json
 import os
+import time
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import suppress
 from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
-from shutil import rmtree
 from typing import Any
 
 import numpy as np
@@ -40,6 +41,7 @@ __all__ = ["PairReport", "PairStream", "generator_of", "in_unit_box", "make_pair
 
 BLOCK = 10  # pairs of one task: what an interruption loses at most, a worker
 SPLITS = ("train", "validation")
+STALE = 60  # seconds, after which a file that is being written no longer is
 
 
 @dataclass(frozen=True)
@@ -135,7 +137,6 @@ def make_pairs(
     tasks = [task for split in SPLITS for path, count in zip(paths, counts[split]) if path in hashes
              for task in tasks_of(path, hashes[path], split, count, folder)]
     parts = folder / ".parts"
-    parts.mkdir(exist_ok=True)
     for done, (task, error) in enumerate(run_tasks(tasks, config, options, workers), start=1):
         if error is not None and strict:
             raise error
@@ -149,10 +150,20 @@ def make_pairs(
                **{split: [path.name for path in files[split]] for split in SPLITS}}
     with replacing(manifest) as new:
         new.write_text(json.dumps(listing, indent=2, sort_keys=True) + "\n")
-    rmtree(parts, ignore_errors=True)  # another call, at the same time, may have done so
-    for part in folder.glob(".*.part*"):  # what killed calls were writing
-        part.unlink(missing_ok=True)
+    clear(parts, tasks)
     return PairReport(manifest, tuple(files["train"]), tuple(files["validation"]), failed)
+
+
+def clear(parts: Path, tasks: list[_Task]) -> None:
+    """Remove the parts, and what killed calls were writing; another call may be at work here, and keeps its own."""
+    for task in tasks:
+        task.part.unlink(missing_ok=True)
+    for part in [*parts.parent.glob(".*.part*"), *parts.glob(".*.part*")]:
+        with suppress(FileNotFoundError):
+            if time.time() - part.stat().st_mtime > STALE:
+                part.unlink()
+    with suppress(OSError):  # it is not empty
+        parts.rmdir()
 
 
 def checked_sources(sources: Sequence[str | Path]) -> list[Path]:
@@ -219,6 +230,7 @@ def run_task(task: _Task, config: PairConfig, options: dict) -> tuple[_Task, Exc
             reports.append(asdict(map_report(result, config.levels)))
     except NeusubError as error:
         return task, error
+    task.part.parent.mkdir(exist_ok=True)  # another call may have removed it when it was done
     save_pairs(pairs, task.part, {"source_hash": task.source_hash, "options": options, "reports": reports})
     return task, None
 
