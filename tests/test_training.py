@@ -17,7 +17,7 @@ from neusub.mesh import Mesh
 from neusub.network import NeuralSubdivision
 from neusub.schemes import subdivision_matrix
 from neusub.subdivider import Subdivider
-from neusub.threads import in_threads, some_threads, workers_of
+from neusub.threads import some_threads, workers_of
 from neusub.topology import topology_levels
 from neusub.training import PRESETS, batch_of, train, validate
 from test_network import make_pair
@@ -91,20 +91,6 @@ def test_threads_share_a_batch_and_learn_what_one_does(files, tmp_path, options)
     losses = [[(row["training_loss"], row["validation_loss"]) for row in found] for found in rows.values()]
     np.testing.assert_allclose(*losses, rtol=1e-4)
     assert np.ptp(losses[0], axis=0).min() > 1e-3 * losses[0][0][0]  # they do learn
-
-
-def test_threads_are_as_before_when_one_of_them_fails():
-    torch.set_num_threads(4)
-    seen = []
-
-    def fail(number: int) -> None:
-        seen.append(torch.get_num_threads())
-        raise ZeroDivisionError
-
-    with pytest.raises(ZeroDivisionError), in_threads(2) as each:
-        list(each(fail, range(2)))
-    assert set(seen) == {2}
-    assert torch.get_num_threads() == 4
 
 
 def test_the_loss_falls_and_the_best_weights_are_saved_with_their_card(files, tmp_path):
@@ -354,18 +340,6 @@ def test_training_and_validation_weigh_errors_alike(files, tmp_path, weighting, 
     assert rows[0]["validation_loss"] == pytest.approx(validate(network, batches, config), rel=1e-4)
 
 
-@pytest.mark.parametrize("name, value", [("width", 0), ("features", -1), ("vectors", -1), ("settle", float("nan")),
-                                         ("activation", "tanh")])
-def test_an_architecture_that_cannot_be_is_named(name, value):
-    with pytest.raises(ValueError, match=f"{name} = .*: take"):
-        Architecture(**{name: value})
-
-
-def test_a_seed_below_zero_is_named():
-    with pytest.raises(ValueError, match="seed = -5: take"):
-        replace(CONFIG, seed=-5)
-
-
 @pytest.mark.parametrize("given", ["pairs.safetensors", iter([])])
 def test_pairs_that_are_no_list_of_files_are_named(given, tmp_path):
     with pytest.raises(PairFileError, match="Give a list of pair files"):
@@ -375,18 +349,6 @@ def test_pairs_that_are_no_list_of_files_are_named(given, tmp_path):
 def test_a_folder_of_pairs_is_named(tmp_path):
     with pytest.raises(PairFileError, match="is a folder"):
         train([tmp_path], [], tmp_path / "run", CONFIG)
-
-
-@pytest.mark.parametrize("name, value", [("loss", "sqared"), ("weighting", "area"), ("schedule", "cos"),
-                                         ("input", "on"), ("precision", "64-true")])
-def test_a_misspelt_option_is_named(name, value):
-    with pytest.raises(ValueError, match=f"{name} = '{value}': take one of"):
-        replace(CONFIG, **{name: value})
-
-
-def test_a_weight_below_zero_is_named():
-    with pytest.raises(ValueError, match="normals = -1: take 0"):
-        replace(CONFIG, normals=-1)
 
 
 def test_the_model_has_the_loss_that_it_has_in_use(files, tmp_path):
@@ -423,14 +385,6 @@ def test_resuming_a_finished_run_writes_its_model(files, tmp_path):
     (tmp_path / "run" / "model.safetensors").unlink()
     train(*files, tmp_path / "run", replace(CONFIG, bound=None), resume=True)
     assert Subdivider.load(tmp_path / "run" / "model.safetensors", device="cpu").network.plan.bound is None
-
-
-@pytest.mark.parametrize(("options", "message"), [
-    ({"settle": -1.0}, "settle = -1.0: take at least 0"), ({"sharp": -1.0}, "sharp = -1.0: take at least 0"),
-    ({"cycles": 2}, "cycles = 2: a constant schedule has none")])
-def test_options_out_of_range_are_refused_before_any_work(options, message):
-    with pytest.raises(ValueError, match=message):
-        TrainingConfig(**options)
 
 
 def test_pairs_without_decimated_vertices_are_refused_before_a_folder_is_made(files, tmp_path):
