@@ -48,7 +48,7 @@ def mend_flat_faces(work: RawMesh, changes: list[str]) -> None:
     changes += [line.format(count) for line, count in counts.items() if count]
     left = is_flat(work.vertices[work.faces]).sum()
     if left:
-        changes.append(f"kept {left} zero-area faces, whose collapse or flip would make the mesh non-manifold")
+        changes.append(f"kept {left} zero-area faces, which no collapse and no flip mends")
 
 
 class _Rings:
