@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -220,6 +222,22 @@ def test_faces_are_named_by_their_numbers_in_the_file():
     _, changes = repair(RawMesh(vertices, faces))
     assert changes == ["removed 1 faces with a repeated vertex, the first being face 0",
                        "removed 1 copies of faces, the first being face 21", "turned 1 faces, the first being face 10"]
+
+
+@pytest.mark.parametrize("shape", [shapes.fin_on_edge, shapes.bow_tie, shapes.moebius], ids=lambda s: s.__name__)
+def test_errors_name_faces_by_their_numbers_in_the_file_too(shape):
+    """The numbers after removals are of a mesh that nobody sees."""
+    vertices, faces = shape()
+
+    def error_of(faces: np.ndarray) -> str:
+        with pytest.raises(errors.MeshError) as raised:
+            repair(RawMesh(vertices, faces))
+        return str(raised.value)
+
+    plain, later = error_of(faces), error_of(np.concatenate([[[0, 0, 1]], faces]))
+    named, named_later = ([int(n) for n in re.findall(r"\d+", re.search(r"faces:? (\d+(, | and |))+", text)[0])]
+                          for text in (plain, later))
+    assert named_later == [n + 1 for n in named]
 
 
 def test_a_flat_face_at_the_border_is_removed():

@@ -30,16 +30,22 @@ __all__ = ["EdgeGroups", "as_floats", "as_indices", "duplicate_faces", "face_edg
 FARTHEST = 1e75  # coordinate: squares of areas stay finite
 
 
-def find_problems(vertices: ndarray, faces: ndarray) -> list[MeshError]:
-    """Every kind of problem that `Mesh` would raise for, each with its first element, a count and a remedy."""
+def find_problems(vertices: ndarray, faces: ndarray, numbers: ndarray | None = None) -> list[MeshError]:
+    """Every kind of problem that `Mesh` would raise for, each with its first element, a count and a remedy.
+
+    numbers (nF,): what to call the faces; 0 .. nF - 1 by default.
+    """
     try:
-        return list(iterate_problems(as_floats(vertices, "vertices", (3,)), as_indices(faces, "faces")))
+        return list(iterate_problems(as_floats(vertices, "vertices", (3,)), as_indices(faces, "faces"), numbers))
     except ShapeError as error:
         return [error]
 
 
-def iterate_problems(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"]) -> Iterator[MeshError]:
-    """The problems one by one; after an index that is out of range nothing else can be asked."""
+def iterate_problems(
+    vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "nF 3"], numbers: ndarray | None = None
+) -> Iterator[MeshError]:
+    """Those of `find_problems` one by one; after an index that is out of range nothing else can be asked."""
+    numbers = np.arange(len(faces)) if numbers is None else numbers
     if len(faces) == 0:
         yield EmptyMeshError(f"the mesh has {len(vertices)} vertices and no faces. Give at least one triangle.")
     yield from non_finite_problems(vertices)
@@ -49,12 +55,12 @@ def iterate_problems(vertices: Float64[ndarray, "nV 3"], faces: Int64[ndarray, "
     if out_of_range.any():
         f = int(np.argmax(out_of_range))
         yield IndexRangeError(
-            f"face {f} is {listed_row(faces[f])}, but there are {len(vertices)} vertices (0 to {len(vertices) - 1})"
-            f"{more_of(out_of_range.sum(), 'face')}. Correct the indices; they count from 0."
+            f"face {numbers[f]} is {listed_row(faces[f])}, but there are {len(vertices)} vertices "
+            f"(0 to {len(vertices) - 1}){more_of(out_of_range.sum(), 'face')}. Correct the indices; they count from 0."
         )
         return
-    yield from _face_problems(faces)
-    yield from _edge_problems(faces, len(vertices))
+    yield from _face_problems(faces, numbers)
+    yield from _edge_problems(faces, len(vertices), numbers)
     used = np.zeros(len(vertices), dtype=bool)
     used[faces] = True
     if not used.all():
@@ -74,12 +80,12 @@ def non_finite_problems(vertices: Float64[ndarray, "nV 3"]) -> Iterator[MeshErro
         )
 
 
-def _face_problems(faces: Int64[ndarray, "nF 3"]) -> Iterator[MeshError]:
+def _face_problems(faces: Int64[ndarray, "nF 3"], numbers: ndarray) -> Iterator[MeshError]:
     repeated = (faces == faces[:, [1, 2, 0]]).any(axis=1)
     if repeated.any():
         f = int(np.argmax(repeated))
         yield RepeatedVertexError(
-            f"face {f} is {listed_row(faces[f])}, with a vertex twice{more_of(repeated.sum(), 'face')}. "
+            f"face {numbers[f]} is {listed_row(faces[f])}, with a vertex twice{more_of(repeated.sum(), 'face')}. "
             "Run 'neusub repair', or remove the face."
         )
     order, is_copy = duplicate_faces(faces)
@@ -87,7 +93,7 @@ def _face_problems(faces: Int64[ndarray, "nF 3"]) -> Iterator[MeshError]:
         at = int(np.argmax(is_copy))
         first, second = sorted(order[[at, at + 1]])
         yield DuplicateFaceError(
-            f"faces {first} and {second} have the same vertices {listed_row(np.sort(faces[first]))}"
+            f"faces {numbers[first]} and {numbers[second]} have the same vertices {listed_row(np.sort(faces[first]))}"
             f"{more_of(is_copy.sum(), 'face')}. Run 'neusub repair', or remove one of them."
         )
 
@@ -121,7 +127,7 @@ def face_edge_groups(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> EdgeGrou
     return EdgeGroups(order, starts, np.diff(np.append(starts, len(key))), tail, head)
 
 
-def _edge_problems(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Iterator[MeshError]:
+def _edge_problems(faces: Int64[ndarray, "nF 3"], n_vertices: int, numbers: ndarray) -> Iterator[MeshError]:
     groups = face_edge_groups(faces, n_vertices)
     crowded = np.flatnonzero(groups.counts > 2)
     if len(crowded):
@@ -129,7 +135,7 @@ def _edge_problems(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Iterator[M
         around = groups.halfedges[groups.starts[at] : groups.starts[at] + groups.counts[at]]
         u, v = sorted((int(groups.tail[around[0]]), int(groups.head[around[0]])))
         yield NonManifoldEdgeError(
-            f"edge ({u}, {v}) belongs to {len(around)} faces: {_listed(around // 3)}"
+            f"edge ({u}, {v}) belongs to {len(around)} faces: {_listed(numbers[around // 3])}"
             f"{more_of(len(crowded), 'such edge')}. Run 'neusub repair --split-edges', or remove the extra face."
         )
     pairs = groups.starts[groups.counts == 2]
@@ -138,8 +144,8 @@ def _edge_problems(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Iterator[M
     if same.any():
         h, g = int(one[np.argmax(same)]), int(other[np.argmax(same)])
         yield OrientationError(
-            f"faces {h // 3} and {g // 3} both run along edge ({groups.tail[h]}, {groups.head[h]}) the same way"
-            f"{more_of(same.sum(), 'such edge')}. Run 'neusub repair', or reverse one of them "
+            f"faces {numbers[h // 3]} and {numbers[g // 3]} both run along edge ({groups.tail[h]}, {groups.head[h]}) "
+            f"the same way{more_of(same.sum(), 'such edge')}. Run 'neusub repair', or reverse one of them "
             "(a one-sided surface, like a Moebius strip, must be cut first)."
         )
     n_fans, fan = vertex_fans(groups)
@@ -148,8 +154,9 @@ def _edge_problems(faces: Int64[ndarray, "nF 3"], n_vertices: int) -> Iterator[M
     fans = np.bincount(at_vertex, minlength=n_vertices)
     if (fans > 1).any():
         v = int(np.argmax(fans > 1))
+        of_each = numbers[_fan_faces(groups, fan, v)]
         yield NonManifoldVertexError(
-            f"vertex {v} joins {fans[v]} separate fans of faces, with faces {_listed(_fan_faces(groups, fan, v))}"
+            f"vertex {v} joins {fans[v]} separate fans of faces, with faces {_listed(of_each)}"
             f"{more_of((fans > 1).sum(), 'such vertex')}. "
             "Run 'neusub repair --split-vertices', or give each fan its own vertex."
         )

@@ -30,8 +30,8 @@ class RawMesh:
     face_data: dict[str, ndarray] = field(default_factory=dict)
     materials: tuple[Material, ...] = ()
     report: list[str] = field(default_factory=list)
-    numbered: tuple[ndarray, ndarray] | None = None  # vertices and faces with the numbers that errors name
     origin: ndarray | None = None  # of each face its number before others were taken away, where that is to be told
+    numbered: tuple[ndarray, ndarray, ndarray | None] | None = None  # vertices, faces, origin when errors' numbers held
 
     def checked(self) -> Mesh:
         """The mesh, with the report as its load report.  Raises: the `MeshError`s of `Mesh`."""
@@ -48,7 +48,7 @@ class RawMesh:
                 load_report=tuple(self.report),
             )
         except MeshError as error:
-            before = [] if self.numbered is None else find_problems(*self.numbered)
+            before = find_problems(*(self.numbered or (self.vertices, self.faces, self.origin)))
             raise next((problem for problem in before if type(problem) is type(error)), error) from None
 
     def bring_colors_to_range(self) -> None:
@@ -79,7 +79,7 @@ class RawMesh:
         used = np.zeros(len(self.vertices), dtype=bool)
         used[self.faces] = True
         if not used.all():
-            self.numbered = self.numbered or (self.vertices, self.faces)
+            self.numbered = self.numbered or (self.vertices, self.faces, self.origin)
             self.faces = (np.cumsum(used) - 1)[self.faces]
             self.vertices = self.vertices[used]
             self.colors = None if self.colors is None else self.colors[used]
