@@ -7,8 +7,9 @@
 
 The source is the authors' public pairs, or a fine mesh of which pairs are made.  Each training (variant, seed, epochs,
 pairs) is one entry of results/ablation.json, written when it is done; what is there is skipped, and a training that was
-stopped goes on where it was when the command is repeated.  The picture, docs/reproduction/ablation.webp, shows the
-largest setting with all studies.  "Relative" variants measure lengths in units of each half-flap's mean edge.
+stopped goes on where it was when the command is repeated.  The pictures, docs/reproduction/ablation_<epochs>.webp,
+are of the settings with the most pairs that all studies have.  "Relative" variants measure lengths in units of each
+half-flap's mean edge.
 """
 
 from __future__ import annotations
@@ -155,17 +156,22 @@ def curves(known: list[dict], setting: tuple, variant: str, level: int | None) -
     return np.array(chosen[0]["epoch"]), np.array(rows)
 
 
-def draw(known: list[dict]) -> Path | None:
-    """Validation error against epochs, a panel a study: mean over the seeds, and their range."""
-    from matplotlib.figure import Figure
-
+def draw(known: list[dict]) -> list[Path]:
+    """A picture for each number of epochs at the largest size of which every study has something."""
     done = {key_of(entry)[:4] for entry in known}
     groups = [(PAPER,), *(names for names, _ in STUDIES.values())]
     whole = [setting for setting in settings(known)
              if all(any((*setting, name) in done for name in names) for names in groups)]
-    if not whole:
-        return None
-    _, pairs, epochs = setting = whole[-1]
+    most = max((setting[1] for setting in whole), default=0)
+    return [draw_setting(known, setting) for setting in whole if setting[1] == most]
+
+
+def draw_setting(known: list[dict], setting: tuple) -> Path:
+    """Validation error against epochs, a panel a study: mean over the seeds, and their range."""
+    from matplotlib.figure import Figure
+
+    _, pairs, epochs = setting
+    done = {key_of(entry)[:4] for entry in known}
     figure = Figure(figsize=(10.5, 6), dpi=100, layout="constrained")
     panels = figure.subplots(2, 3).reshape(-1)
     for axes, (study, (names, level)) in zip(panels, STUDIES.items()):
@@ -182,7 +188,7 @@ def draw(known: list[dict]) -> Path | None:
     note = ("Error: mean square of a coordinate\non 10 held out pairs.\n"
             "Line: mean over the seeds (their number\nin brackets); band: range.")
     panels[-1].text(0, 0.5, f"{pairs} pairs, {epochs} epochs.\n{note}", va="center")
-    return write_chart("ablation", figure)
+    return write_chart(f"ablation_{epochs}", figure)
 
 
 def main() -> None:
@@ -211,7 +217,7 @@ def main() -> None:
             if not options.quick:
                 keep(entry)
     if not options.quick:
-        print(draw(entries()))
+        print(*draw(entries()))
 
 
 if __name__ == "__main__":

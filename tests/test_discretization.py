@@ -128,10 +128,12 @@ def test_a_source_that_fails_is_listed_with_its_reason_and_the_others_go_on(sour
     report = make_pairs([bad, tmp_path / "missing.obj", sources[0]], tmp_path / "pairs", CONFIG)
     assert [path.name for path in report.train] == ["ball.train.safetensors"]
     assert report.failed["bad.obj"].startswith("NonFiniteError: vertex 2")
-    assert "missing.obj" in report.failed
+    assert "missing.obj does not exist" in report.failed["missing.obj"]
     assert json.loads(report.manifest.read_text())["failed"] == report.failed
     with pytest.raises(NeusubError, match="vertex 2"):
         make_pairs([bad, sources[0]], tmp_path / "strict", CONFIG, strict=True)
+    with pytest.raises(NeusubError, match=r"missing\.obj does not exist"):
+        make_pairs([tmp_path / "missing.obj", sources[0]], tmp_path / "strict", CONFIG, strict=True)
 
 
 def test_a_size_that_cannot_be_reached_says_what_stopped_it(tmp_path):

@@ -26,7 +26,7 @@ import numpy as np
 from torch.utils.data import IterableDataset, get_worker_info
 
 from neusub.configuration import PairConfig
-from neusub.errors import DecimationError, NeusubError, PairFileError
+from neusub.errors import DecimationError, MeshFileError, NeusubError, PairFileError
 from neusub.files import replacing
 from neusub.generation import Pair, file_hash, load_pairs, read_header, save_pairs
 from neusub.io import load
@@ -129,7 +129,7 @@ def make_pairs(
     for path in paths:
         try:
             hashes[path] = file_hash(path)
-        except OSError as error:
+        except MeshFileError as error:
             if strict:
                 raise
             failed[path.name] = f"{type(error).__name__}: {error}"

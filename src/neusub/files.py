@@ -1,4 +1,4 @@
-"""Files are written whole or not at all."""
+"""Files are read or it is said why not, and written whole or not at all."""
 
 from __future__ import annotations
 
@@ -10,7 +10,20 @@ from pathlib import Path
 
 from neusub.errors import MeshFileError
 
-__all__ = ["replacing"]
+__all__ = ["content_of", "replacing"]
+
+
+def content_of(path: str | Path) -> bytes:
+    """The bytes of a file.  Raises: MeshFileError for a folder, and where it is missing or not readable."""
+    path = Path(path)
+    try:
+        return path.read_bytes()
+    except IsADirectoryError:
+        raise MeshFileError(f"{path} is a folder. Give a file.") from None
+    except FileNotFoundError:
+        raise MeshFileError(f"{path} does not exist. Check the name.") from None
+    except OSError as error:
+        raise MeshFileError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from None
 
 
 @contextmanager

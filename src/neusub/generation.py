@@ -31,7 +31,7 @@ from neusub import __version__, bounds
 from neusub.configuration import Input
 from neusub.creases import area_normals, unit_vectors
 from neusub.errors import PairFileError
-from neusub.files import replacing
+from neusub.files import content_of, replacing
 from neusub.flaps import LevelFlaps, level_flaps
 from neusub.topology import Topology, topology_levels
 
@@ -176,8 +176,8 @@ def pair_files(folder: str | Path) -> tuple[list[Path], list[Path]]:
 
 
 def file_hash(path: str | Path) -> str:
-    """SHA-256 of a file, its first 16 digits."""
-    return hashlib.sha256(Path(path).read_bytes()).hexdigest()[:16]
+    """SHA-256 of a file, its first 16 digits.  Raises: MeshFileError."""
+    return hashlib.sha256(content_of(path)).hexdigest()[:16]
 
 
 # --- batches -----------------------------------------------------------------------------------------------------

@@ -25,7 +25,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from neusub.errors import MeshFileError, NeusubError
-from neusub.files import replacing
+from neusub.files import content_of, replacing
 from neusub.mesh import Material, Mesh
 from neusub.raw import RawMesh, triangulate, weld
 
@@ -49,12 +49,7 @@ def read(path: str | os.PathLike[str]) -> RawMesh:
     if path.is_dir():
         raise MeshFileError(f"{path} is a folder. Give a mesh file.")
     kind = _known_kind(path, (*KINDS, *READ_ONLY))
-    if not path.exists():
-        raise MeshFileError(f"{path} does not exist. Check the name.")
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise MeshFileError(f"{path} cannot be read: {error.strerror}. Check its permissions.") from None
+    data = content_of(path)
     if not data.strip():
         raise MeshFileError(f"{path} is empty. Get it again.")
     try:
