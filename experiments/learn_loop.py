@@ -119,7 +119,7 @@ def main() -> None:
     parser = parser_of("experiments learn_loop", __doc__, "6 pairs, 10 epochs, two shapes", trains=True)
     parser.add_argument("meshes", type=Path)
     parser.add_argument("--pairs", type=int, default=200)
-    parser.add_argument("--epochs", type=int, default=25)
+    parser.add_argument("--epochs", type=int, default=200)
     options = parsed(parser)
     if options.quick:
         options.pairs, options.epochs = 6, 10

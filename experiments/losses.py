@@ -154,8 +154,8 @@ def draw_results(results: dict[str, Fit], pair: Pair, fine: Mesh) -> Path:
 def main() -> None:
     parser = parser_of("experiments losses", __doc__, "4 pairs, 5 epochs", trains=True)
     parser.add_argument("meshes", type=Path)
-    parser.add_argument("--pairs", type=int, default=20)
-    parser.add_argument("--epochs", type=int, default=50)
+    parser.add_argument("--pairs", type=int, default=200)
+    parser.add_argument("--epochs", type=int, default=100)
     options = parsed(parser)
     if options.quick:
         options.pairs, options.epochs = 4, 5
