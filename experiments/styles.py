@@ -2,7 +2,7 @@
 
     python -m experiments styles MESHES
     python -m experiments styles MESHES --tosca TOSCA --only pose
-    python -m experiments styles MESHES --pairs 40 --epochs 80 --only spot wingnut
+    python -m experiments styles MESHES --epochs 200 --only spot wingnut
 
 MESHES is the folder of INDEX.csv, TOSCA that of <category>.npz.  A training takes --pairs discretizations of 150 to 300
 vertices in all, evenly from its shapes, and --epochs epochs of one mesh a step; the learning rate goes down as a cosine
