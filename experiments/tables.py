@@ -204,6 +204,7 @@ def styles() -> str:
              "mechanical": "trained on four man-made shapes"}
     entries = {label(scheme): data["baselines"][scheme] for scheme in SCHEMES}
     entries |= {title: data["trainings"][name]["held_out"] for name, title in names.items()}
+    entries |= {f"{title}, unbounded": data["trainings"][name]["held_out_unbounded"] for name, title in names.items()}
     rows = [[name, *(hmn(entry[group]) for group in ("organic", "man-made")),
              f"{entry['crease_kept_percent']['mean']:.0f}"] for name, entry in entries.items()]
     return markdown(["H / M / normals", "organic", "man-made", "creases, %"], rows)
