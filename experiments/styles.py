@@ -6,10 +6,11 @@
 
 MESHES is the folder of INDEX.csv, TOSCA that of <category>.npz.  A training takes --pairs discretizations of 150 to 300
 vertices in all, evenly from its shapes, and --epochs epochs of one mesh a step; the learning rate goes down as a cosine
-(the paper's is constant, with 200 and 700).  It is scored, bounded as in use and unbounded as in the paper, on shapes that no training has seen, decimated to 350
-vertices on the surface, after two levels.  Each training adds its row to results/styles.json, with its own size and
-commit; the classical schemes are scored in a call without --only.  Pictures are of the trainings of the call's size
-that are there.  An interrupted call goes on where it was.
+(the paper's is constant, with 200 and 700).  It is scored on shapes that no training has seen, decimated to 350
+vertices on the surface, after two levels, with displacements bounded as in use and unbounded as in the paper.  Each
+training adds its row to results/styles.json, with its own size and commit; the classical schemes are scored in a call
+without --only.  Pictures are of the trainings of the call's size that are there.  An interrupted call goes on where it
+was.
 """
 
 from __future__ import annotations
