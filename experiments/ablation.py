@@ -126,6 +126,10 @@ def settings(known: list[dict]) -> list[tuple]:
     return sorted({key_of(entry)[:3] for entry in known}, key=lambda setting: setting[1] * setting[2])
 
 
+def variants_of(known: list[dict], setting: tuple) -> set[str]:
+    return {entry["variant"] for entry in known if key_of(entry)[:3] == setting}
+
+
 def summaries(known: list[dict]) -> dict[str, dict]:
     """Of each setting and variant: means over the seeds of the best epoch's errors, of their sum, and its spread."""
     out: dict = {}
@@ -158,10 +162,8 @@ def curves(known: list[dict], setting: tuple, variant: str, level: int | None) -
 
 def draw(known: list[dict]) -> list[Path]:
     """A picture for each number of epochs at the largest size of which every study has something."""
-    done = {key_of(entry)[:4] for entry in known}
-    groups = [(PAPER,), *(names for names, _ in STUDIES.values())]
-    whole = [setting for setting in settings(known)
-             if all(any((*setting, name) in done for name in names) for names in groups)]
+    groups = [{PAPER}, *(set(names) for names, _ in STUDIES.values())]
+    whole = [setting for setting in settings(known) if all(names & variants_of(known, setting) for names in groups)]
     most = max((setting[1] for setting in whole), default=0)
     return [draw_setting(known, setting) for setting in whole if setting[1] == most]
 
@@ -171,11 +173,11 @@ def draw_setting(known: list[dict], setting: tuple) -> Path:
     from matplotlib.figure import Figure
 
     _, pairs, epochs = setting
-    done = {key_of(entry)[:4] for entry in known}
+    done = variants_of(known, setting)
     figure = Figure(figsize=(10.5, 6), dpi=100, layout="constrained")
     panels = figure.subplots(2, 3).reshape(-1)
     for axes, (study, (names, level)) in zip(panels, STUDIES.items()):
-        for variant in (name for name in (PAPER, *names) if (*setting, name) in done):
+        for variant in (name for name in (PAPER, *names) if name in done):
             at, rows = curves(known, setting, variant, level)
             title = "the paper's network" if variant == PAPER else variant
             line, = axes.semilogy(at, rows.mean(axis=0), label=f"{title} ({len(rows)})")

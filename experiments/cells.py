@@ -2,19 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterable, Sequence
 
-from experiments.common import RESULTS
 from experiments.measures import SCHEMES
 
 LABELS = {"loop": "Loop", "bunny": "`bunny`", "elephant": "`elephant`", "default": "`default`",
           "default, uncross": "`default`, crossings taken back"}
 ALL = (*SCHEMES, "elephant", "default")
-
-
-def results(name: str) -> dict:
-    return json.loads((RESULTS / f"{name}.json").read_text())
 
 
 def markdown(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:

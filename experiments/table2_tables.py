@@ -4,12 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from experiments.cells import hm, label, markdown, results
+from experiments.cells import hm, label, markdown
+from experiments.common import read_results
 from experiments.measures import SCHEMES
 
 
 def table2(part: str) -> str:
-    data, kinds = results("table2"), {"on_surface": "on the surface", "decimated": "decimated"}
+    data, kinds = read_results("table2"), {"on_surface": "on the surface", "decimated": "decimated"}
     free, bounded = data[part], data[f"{part}, bounded"]
 
     def row(name: str, of: Callable[[dict, str], dict], weight: str = "") -> list[str]:
@@ -35,7 +36,7 @@ def table2_bottom() -> str:
 
 def trainings() -> str:
     """Trained otherwise: the network's shares, on-surface inputs."""
-    data = results("table2")
+    data = read_results("table2")
     sizes = "surface, 350 to 450 vertices"
     names = {"": "the paper's: 150 to 300 vertices, squared loss, unbounded",
              "bounded": "the same weights, `--bounded`",
@@ -64,7 +65,8 @@ def trainings() -> str:
 
 def trainings_shapes() -> str:
     """The best of them, category by category."""
-    data = [results("table2")[f"{part}, surface, 350 to 450 vertices, varied, by area"] for part in ("top", "bottom")]
+    known = read_results("table2")
+    data = [known[f"{part}, surface, 350 to 450 vertices, varied, by area"] for part in ("top", "bottom")]
     methods = [(0, scheme) for scheme in SCHEMES] + [(0, "network"), (1, "network")]
     rows = []
     for category, entry in data[0]["on_surface"]["loop"]["categories"].items():
@@ -80,7 +82,7 @@ def trainings_shapes() -> str:
 
 
 def shares(part: str) -> str:
-    data = results("table2")
+    data = read_results("table2")
     free, bounded = (data[name]["ratios"]["on_surface"] for name in (part, f"{part}, bounded"))
     wanted = [(measure, scheme, data[part]["ratios_of_the_paper"][measure][scheme]) for measure in "MH"
               for scheme in ("butterfly", "loop")] + [("H", "midpoint", 1.0)]

@@ -16,8 +16,8 @@ from pathlib import Path
 
 import numpy as np
 
-from experiments.cells import ALL, LABELS, hm, hmn, label, markdown, results
-from experiments.common import HERE
+from experiments.cells import ALL, LABELS, hm, hmn, label, markdown
+from experiments.common import HERE, read_results
 from experiments.measures import KINDS, SCHEMES
 from experiments.table2_tables import shares_bottom, shares_top, table2_bottom, table2_top, trainings, trainings_shapes
 
@@ -26,18 +26,18 @@ MARKED = re.compile(r"(<!-- table (\w+) -->\n).*?(<!-- end -->)", re.DOTALL)
 
 
 def fixed_inputs() -> str:
-    data = results("fixed_inputs")
+    data = read_results("fixed_inputs")
     names = {"butterfly": "modified butterfly", "default": "`default`, told the kind of input"}
     rows = [[names.get(method, LABELS.get(method, method if method in ALL else f"`{method}`")),
              *(hm(data[kind][method]) for kind in KINDS)] for method in data["on_surface"]]
-    authors = results("authors")
+    authors = read_results("authors")
     rows.insert(list(data["on_surface"]).index("butterfly") + 1,
                 ["the authors' released weights", *(hm(authors[kind]) for kind in KINDS)])
     return markdown(["eight shapes of TOSCA, two levels, H / M", "coarse vertices on the surface", "decimated"], rows)
 
 
 def teaser() -> str:
-    data = results("gallery")["fig:teaser"]
+    data = read_results("gallery")["fig:teaser"]
     methods = tuple(data["on_surface"])
     rows = [["vertices on the surface", *(hm(data["on_surface"][m]) for m in methods)]]
     for shape in data["on_surface"]["loop"]["shapes"]:
@@ -48,7 +48,7 @@ def teaser() -> str:
 
 
 def all_levels() -> str:
-    data = results("gallery")["fig:allLevels"]
+    data = read_results("gallery")["fig:allLevels"]
     names = {"ns_rocker_arm": "rocker arm", "oded_cat_low_resolution": "cat"}
     seen = {("oded_cat_low_resolution", "default"): " (it has seen this cat)"}
     rows = [[f"{names[shape]}, {label(method)}{seen.get((shape, method), '')}", *map(hm, levels.values())]
@@ -57,7 +57,7 @@ def all_levels() -> str:
 
 
 def fit() -> str:
-    data = results("selfparam_quality")["remesh"]
+    data = read_results("selfparam_quality")["remesh"]
 
     def row(shape: str) -> list[str]:
         numbers = [data[kind][shape] for kind in data]
@@ -81,12 +81,12 @@ def artists() -> str:
              "oded_fish_control_mesh": "fish, cage", "ns_coarse_rockerArm": "rocker arm, the authors' coarse one"}
     rows = [[names[shape], str(data["coarse_folds"]),
              *(f"{data[m]['mean_angle']:.1f} / {data[m]['folds']} / {data[m]['volume_percent_of_coarse']:.0f}"
-               for m in ALL[1:])] for shape, data in results("gallery")["fig:subdivScene"].items()]
+               for m in ALL[1:])] for shape, data in read_results("gallery")["fig:subdivScene"].items()]
     return markdown(["angle / folds / volume", "coarse folds", *map(label, ALL[1:])], rows)
 
 
 def texture() -> str:
-    data = results("gallery")["fig:texture"]
+    data = read_results("gallery")["fig:texture"]
     rows = []
     for kind, name in (("decimated", "decimated"), ("cage", "the artist's cage")):
         rows += [[f"{name}, H / M", *(hm(data[kind][m]) for m in ALL)],
@@ -97,12 +97,13 @@ def texture() -> str:
 def semantic() -> str:
     methods = ("coarse", "elephant", "default", "remesh")
     rows = [[f"{count} vertices", *(f"{data[m]['M']:.3f}" for m in methods)]
-            for count, data in results("gallery")["fig:lim_semantic"].items()]
+            for count, data in read_results("gallery")["fig:lim_semantic"].items()]
     return markdown(["M", *map(label, methods)], rows)
 
 
 def modeling() -> str:
-    rows = [[change, *(hm(data[m]) for m in ALL[1:])] for change, data in results("gallery")["fig:modeling"].items()]
+    changes = read_results("gallery")["fig:modeling"]
+    rows = [[change, *(hm(data[m]) for m in ALL[1:])] for change, data in changes.items()]
     return markdown(["H / M", *map(label, ALL[1:])], rows)
 
 
@@ -111,13 +112,13 @@ LEVELS = {"elephant": "`elephant`", "elephant, then loop": "`elephant`, Loop aft
 
 
 def levels_distance() -> str:
-    data = results("levels")["methods"]
+    data = read_results("levels")["methods"]
     rows = [[name, *map(hm, data[m].values())] for m, name in LEVELS.items()]
     return markdown(["H / M, at level", "1", "2", "3", "4", "5"], rows)
 
 
 def levels_angle() -> str:
-    data = results("levels")["methods"]
+    data = read_results("levels")["methods"]
 
     def shown(entry: dict) -> str:
         return f"{entry['mean_angle']:.1f} / {entry['angle_99']:.0f}, {entry['mean_angle_root_edges'] / 100:.0f}"
@@ -127,7 +128,7 @@ def levels_angle() -> str:
 
 
 def upsampling() -> str:
-    data = results("upsampling")["methods"]
+    data = read_results("upsampling")["methods"]
     names = {"default": "`default`, two levels", "elephant": "`elephant`, two levels",
              "butterfly": "butterfly, two levels", "coarse vertices": "the coarse vertices",
              "coarse vertices, true normals": "the coarse vertices, the mesh's normals",
@@ -143,7 +144,7 @@ def upsampling() -> str:
 
 
 def cages() -> str:
-    data = results("cages")["cages"].values()
+    data = read_results("cages")["cages"].values()
     rows = [[label(m), *(text for kind in ("turned", "crossing") for counts in ([cage[m][kind] for cage in data],)
                          for text in (str(sum(counts)), str(sum(count > 0 for count in counts))))]
             for m in (*ALL[1:], "default, uncross")]
@@ -151,7 +152,7 @@ def cages() -> str:
 
 
 def ablation(setting: str = "16 pairs, 40 epochs") -> str:
-    data = results("ablation")["summary"][f"cartoon_elephant.npz, {setting}"]
+    data = read_results("ablation")["summary"][f"cartoon_elephant.npz, {setting}"]
     names = {"paper": "the paper's network", "loss on the last level": "loss on the last level only",
              "from Loop": "displacements from Loop's positions", "2 vertex steps": "2 vertex steps",
              "MeshCNN features": "MeshCNN's features",
@@ -185,7 +186,7 @@ def runtime_loss() -> str:
         return f"{float(f'{row[name]:.3g}'):,.0f}" if name in row else "too large"
 
     rows = [[f"{row['points']:,}", *(times(row, name) for name in names)]
-            for row in results("runtime")["fig:runtime"]["times_the_known_targets"]]
+            for row in read_results("runtime")["fig:runtime"]["times_the_known_targets"]]
     return markdown(["points", *names.values()], rows)
 
 
@@ -193,12 +194,12 @@ def runtime_decimation() -> str:
     rows = [[f"{row['vertices']:,}", f"{row['microseconds_a_collapse']:.1f}",
              f"{1e9 * row['seconds'] / (row['vertices'] * np.log2(row['vertices'])):.0f}",
              f"{row['seconds']:.2g}", f"{row['igl_qslim_seconds']:.2g}", f"{row['peak_megabytes']:.0f}"]
-            for row in results("runtime")["sec:SSS"]["sizes"]]
+            for row in read_results("runtime")["sec:SSS"]["sizes"]]
     return markdown(["vertices", "µs a collapse", "ns / (N log2 N)", "seconds", "igl", "MB at the peak"], rows)
 
 
 def styles() -> str:
-    data = results("styles")
+    data = read_results("styles")
     names = {"spot": "trained on spot, smooth", "wingnut": "trained on a wingnut, sharp", "two": "trained on both",
              "four": "trained on both, a fish and a hammer", "organic": "trained on four organic shapes",
              "mechanical": "trained on four man-made shapes"}
@@ -211,12 +212,12 @@ def styles() -> str:
 
 
 def poses() -> str:
-    data = results("styles")["trainings"]["pose"]["unseen_poses"]
+    data = read_results("styles")["trainings"]["pose"]["unseen_poses"]
     return markdown(["mean of five poses", *map(label, data)], [["H / M / normals", *map(hmn, data.values())]])
 
 
 def level3() -> str:
-    data, levels = results("level3")["scores"], ("level 2", "level 3", "level 4")
+    data, levels = read_results("level3")["scores"], ("level 2", "level 3", "level 4")
     names = {"2 levels": "trained on two levels", "3 levels": "trained on three", "butterfly": "butterfly"}
     rows = [[title, *(f"{hm(data[name][level])} / {data[name][level]['angle']:.1f}" for level in levels)]
             for name, title in names.items()]
@@ -224,7 +225,7 @@ def level3() -> str:
 
 
 def learn_loop() -> str:
-    data = results("learn_loop")["percent_of_the_diagonal"]
+    data = read_results("learn_loop")["percent_of_the_diagonal"]
     keys = ("mean", "99 %", "worst", "mean of level 1", "midpoint", "butterfly")
     rows = [[name.split("_")[1], *(f"{row[key]:.3f}" for key in keys)] for name, row in data["shapes"].items()]
     rows.append([f"**{cell}**" for cell in ("mean", *(f"{data['mean'][key]:.3f}" for key in keys))])
@@ -233,7 +234,7 @@ def learn_loop() -> str:
 
 
 def translation() -> str:
-    data = results("translation")["mean_error_percent_of_the_diagonal"]
+    data = read_results("translation")["mean_error_percent_of_the_diagonal"]
     names = {"paper": "local frames (the paper's)", "world axes": "world axes",
              "world positions": "world axes, positions"}
     rows = [[title, *(f"{dict(map(tuple, data[name]['angle']))[angle]:.3f}" for angle in (0, 5, 20, 45, 90)),
@@ -244,7 +245,7 @@ def translation() -> str:
 
 
 def point2mesh() -> str:
-    data = results("losses")["targets"]
+    data = read_results("losses")["targets"]
     rows = [[name.split("_")[1], *(f"{100 - row[kind]['covered']:.2f}" for kind in ("closest points", "map")),
              *(f"{row[kind]['flipped']:.2f}" for kind in ("midpoints", "closest points", "map"))]
             for name, row in data.items() if isinstance(row, dict)]
@@ -255,7 +256,7 @@ def point2mesh() -> str:
 def losses() -> str:
     names = {"correspondences": "ours: targets by the map", "chamfer": "chamfer", "closest points": "closest points"}
     rows = [[names[name], f"{row['flipped']:.3g}", f"{row['folded']:.3g}", f"{row['covered']:.1f}", f"{row['H']:.2f}",
-             f"{row['M']:.3f}", str(row["cpu_seconds"])] for name, row in results("losses")["results"].items()]
+             f"{row['M']:.3f}", str(row["cpu_seconds"])] for name, row in read_results("losses")["results"].items()]
     return markdown(["loss", "flipped, %", "folded, %", "covered, %", "H", "M", "seconds of one core"], rows)
 
 

@@ -31,7 +31,7 @@ class RawMesh:
     materials: tuple[Material, ...] = ()
     report: list[str] = field(default_factory=list)
     origin: ndarray | None = None  # of each face its number before others were taken away, where that is to be told
-    numbered: tuple[ndarray, ndarray, ndarray | None] | None = None  # vertices, faces, origin when errors' numbers held
+    numbered: tuple[ndarray, ndarray, ndarray | None] | None = None  # vertices, faces, origin: as errors name them
 
     def checked(self) -> Mesh:
         """The mesh, with the report as its load report.  Raises: the `MeshError`s of `Mesh`."""

@@ -18,6 +18,7 @@ from neusub.topology import build_topology, connected_components
 
 __all__ = ["MeshInfo", "info", "repair"]
 
+
 @dataclass(frozen=True)
 class MeshInfo:
     """Sizes, topology and quality of a mesh, with every problem.  Lengths are in the mesh's own unit.
